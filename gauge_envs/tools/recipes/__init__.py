@@ -5,26 +5,17 @@ from typing import TYPE_CHECKING
 from gauge_envs.registry import lazy_names
 
 if TYPE_CHECKING:
-    from gauge_envs.tools.recipes.aim import FREE_FRICTION as FREE_FRICTION, Aim as Aim
-    from gauge_envs.tools.recipes.engines import (
-        engine_names as engine_names,
-        engine_settings as engine_settings,
-    )
-    from gauge_envs.tools.recipes.probes import (
-        Probe as Probe,
-        measured as measured,
-    )
-    from gauge_envs.tools.recipes.search import (
-        Recipe as Recipe,
-        find_recipe as find_recipe,
-    )
+    from gauge_envs.tools.recipes.aim import Aim as Aim
+    from gauge_envs.tools.recipes.engines import engine_settings as engine_settings
+    from gauge_envs.tools.recipes.probes import Probe as Probe
+    from gauge_envs.tools.recipes.search import find_recipe as find_recipe
 else:
     __getattr__, __all__ = lazy_names(
         __name__,
         {
-            ".aim": ["FREE_FRICTION", "Aim"],
-            ".engines": ["engine_names", "engine_settings"],
-            ".probes": ["Probe", "measured"],
-            ".search": ["Recipe", "find_recipe"],
+            ".aim": ["Aim"],
+            ".engines": ["engine_settings"],
+            ".probes": ["Probe"],
+            ".search": ["find_recipe"],
         },
     )

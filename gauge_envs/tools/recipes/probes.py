@@ -23,7 +23,7 @@ from gauge_envs.scene import (
     RigidBody,
     Scene,
 )
-from gauge_envs.scene.geometry import vector
+from gauge_envs.scene.geometry import FloatArray, vector
 from gauge_envs.tools.conformance import Lab
 from gauge_envs.tools.recipes.engines.base import ContactSettings
 
@@ -83,7 +83,7 @@ IMPACT_PHASES = 4
 GRIPPING = (0.5, 1.0)
 """Tangential over normal speed of impacts that should stop the slip: 27 and 45 degrees from the normal."""
 
-SLIPPING_SHARE = 2.0
+SLIPPING_SHARE = 3.0
 """Tangential speed of the grazing impact, over the largest at which friction would stop the slip."""
 
 IMPACT_DROP_M, IMPACT_S = 0.02, 0.06
@@ -164,7 +164,18 @@ class Probe:
         return {"restitution": float(np.mean(restitutions))}
 
     def impact(self) -> dict[str, float]:
-        """Return the friction of oblique impacts that is farthest from Coulomb's, and the rebound where a ball slips.
+        """Return the friction of the impact that is farthest from Coulomb's, and the rebound of a ball that slips."""
+        ratios, rebound = self.impacts()
+        worst = max(ratios.ravel().tolist(), key=lambda ratio: abs(ratio - 1.0))
+        return {
+            "impact_friction": worst * self.settings.sliding_friction,
+            "slip_restitution": rebound,
+        }
+
+    def impacts(self) -> tuple[FloatArray, float]:
+        """Return friction over Coulomb's law in oblique impacts, and the mean rebound of those in which the ball slips.
+
+        The rows are impacts at 27 and 45 degrees, and grazing; the columns are phases within a step.
 
         With the normal impulse N and the mass m, friction takes the tangential impulse min(mu N, 2/7 m v) from a ball
         that arrives without spin at the tangential speed v. Both impulses follow from the change of momentum.
@@ -192,12 +203,8 @@ class Probe:
             pressed = velocity[-1, 2] - velocity[0, 2] + G * rollout.times_s[-1]
             ratios.append(taken / min(friction * pressed, 2.0 / 7.0 * speed))
             rebounds.append(float(velocity[:, 2].max()) / IMPACT_M_PER_S)
-        means = np.mean(np.reshape(ratios, (len(speeds), IMPACT_PHASES)), axis=1)
-        worst = float(means[np.abs(means - 1.0).argmax()])
-        return {
-            "impact_friction": worst * friction,
-            "slip_restitution": float(np.mean(rebounds[-IMPACT_PHASES:])),
-        }
+        rows = np.reshape(ratios, (len(speeds), IMPACT_PHASES))
+        return rows, float(np.mean(rebounds[-IMPACT_PHASES:]))
 
     def hop(self) -> dict[str, float]:
         """Return how high a plate rises that slides on a level ground [m]."""

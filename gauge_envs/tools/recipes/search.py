@@ -25,7 +25,7 @@ SLIP_TOLERANCE = 0.05
 
 SHARES = {
     "friction": 0.005,
-    "impact_friction": 0.1,
+    "impact_friction": 0.05,
     "penetration_m": 0.05,
     "torsion_m": 0.01,
     "rolling_m": 0.01,

@@ -76,6 +76,17 @@ def sanity(
             show_default="all on the ground",
         ),
     ] = None,
+    stack: Annotated[
+        str,
+        arguments.option(
+            arguments.SCENE,
+            "With --pair: friction and restitution of the same materials in isaac, physx, newton, genesis, mujoco, "
+            "pybullet, rapier or drake, with the source of the rule.",
+            "--as",
+            metavar="STACK",
+            show_default="all",
+        ),
+    ] = "",
     against: Annotated[
         str | None,
         arguments.option(
@@ -130,7 +141,7 @@ def sanity(
     from gauge_envs.tools.sanity import check, configuration
     from gauge_envs.tools.sanity.comparison import read_baseline
     from gauge_envs.tools.sanity.fix_file import check_can_fix, write_fix
-    from gauge_envs.tools.sanity.pair import pair_parts
+    from gauge_envs.tools.sanity.pair import pair_parts, touching_table
     from gauge_envs.tools.sanity.report import sanity_document
     from gauge_envs.tools.sanity.selection import selection
 
@@ -164,9 +175,11 @@ def sanity(
             **chosen,
         )
     document = sanity_document(report, details=details, is_all=is_all)
-    if geoms is not None and checked.robot is not None:
-        of_pair = pair_parts(checked.robot, (geoms[0], geoms[1]))
+    if geoms is not None:
+        of_pair = pair_parts(checked, (geoms[0], geoms[1]), stack)
         document = replace(document, parts=[*of_pair, *document.parts])
+    elif not only:
+        document = replace(document, parts=[*document.parts, *touching_table(checked)])
     _print(report, document, form, files)
     if fix is not None:
         message(write_fix(report, fix), "fix")

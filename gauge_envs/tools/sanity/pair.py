@@ -1,18 +1,35 @@
-"""One pair of geoms: which friction is in force, by which rule, and which the same materials have in other stacks."""
+"""Pairs of geoms: which friction is in force and by which rule, what follows, and what other stacks make of it."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import copy
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 
 import mujoco
 import numpy as np
 
-from gauge_envs.backends.mujoco.contact_table import COLUMNS
-from gauge_envs.errors import TargetError
+from gauge_envs.backends.mujoco.contact_table import COLUMNS, can_move, contact_pairs
+from gauge_envs.backends.mujoco.options import overrides_contacts, set_option
+from gauge_envs.errors import UnknownNameError
 from gauge_envs.pages.document import Paragraph, Part, Tone
 from gauge_envs.pages.table import Table, grid
 from gauge_envs.pages.text import digits_text
-from gauge_envs.tools.sanity.robot.robot import Robot
+from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.tools.sanity.fixes.candidates import candidates_of, keeps_recipe
+from gauge_envs.tools.sanity.fixes.harm import changes_rebound, motion_harm
+from gauge_envs.tools.sanity.pair_bench import (
+    PAIR_FIELDS,
+    Bench,
+    Value,
+    bench,
+    touch_of,
+    touching,
+)
+from gauge_envs.tools.sanity.readers import dialect
+from gauge_envs.tools.sanity.robot.robot import Robot, geom_name, listed
+from gauge_envs.tools.sanity.training import Settings, TrainingConfiguration
 
 Rule = Callable[[float, float], float]
 
@@ -25,91 +42,413 @@ def _product(first: float, second: float) -> float:
     return first * second
 
 
+def _geometric_mean(first: float, second: float) -> float:
+    return math.sqrt(first * second)
+
+
 def _harmonic_mean(first: float, second: float) -> float:
     return 2.0 * first * second / max(first + second, np.finfo(float).tiny)
 
 
-STACKS: tuple[tuple[str, str, Rule], ...] = (
-    ("MuJoCo, MuJoCo Warp, mjlab", "greater, without priority or pair", max),
-    ("Newton (SolverMuJoCo)", "greater", max),
-    ("Newton (SolverXPBD)", "mean", _mean),
-    ("Genesis", "greater, at least 0.01", max),
-    ("PhysX, Isaac Sim, Isaac Lab", "mean: combine mode average, the default", _mean),
-    ("the same", "product: combine mode multiply, as on many terrains", _product),
-    ("PyBullet", "product", _product),
-    ("Rapier", "mean: CoefficientCombineRule, the default", _mean),
-    ("Drake", "2 a b / (a + b)", _harmonic_mean),
+STACKS: tuple[tuple[str, str, str, Rule, Rule | None, str], ...] = (
+    (
+        "mujoco",
+        "MuJoCo, MuJoCo Warp, mjlab",
+        "greater, without priority or pair",
+        max,
+        None,
+        "MuJoCo documentation, Contact parameters",
+    ),
+    (
+        "newton",
+        "Newton SolverMuJoCo",
+        "greater, without priority",
+        max,
+        None,
+        "Newton 1.8.0, solvers/mujoco/kernels.py, contact_params",
+    ),
+    (
+        "newton",
+        "Newton SolverXPBD",
+        "mean",
+        _mean,
+        _mean,
+        "Newton 1.8.0, solvers/xpbd/kernels.py",
+    ),
+    (
+        "newton",
+        "Newton SolverVBD",
+        "sqrt(a b)",
+        _geometric_mean,
+        None,
+        "Newton 1.8.0, solvers/vbd/rigid_vbd_kernels.py",
+    ),
+    (
+        "genesis",
+        "Genesis",
+        "greater, at least 0.01",
+        lambda a, b: max(a, b, 0.01),
+        None,
+        "Genesis 7bf5f6a7, rigid/collider/contact.py",
+    ),
+    (
+        "isaac",
+        "Isaac Lab, on its terrain for locomotion",
+        "product: combine mode multiply",
+        _product,
+        _product,
+        "Isaac Lab 032e26b7, velocity_env_cfg.py",
+    ),
+    (
+        "isaac",
+        "Isaac Sim, Isaac Lab by default",
+        "mean: combine mode average",
+        _mean,
+        _mean,
+        "Isaac Lab 046b71b8, physics_materials_cfg.py",
+    ),
+    (
+        "physx",
+        "PhysX, SAPIEN",
+        "mean: combine mode average",
+        _mean,
+        _mean,
+        "PhysX 5.6, PxCombineMode: the later of average, min, multiply, max counts",
+    ),
+    (
+        "pybullet",
+        "PyBullet",
+        "product, at most 10",
+        lambda a, b: min(a * b, 10.0),
+        _product,
+        "Bullet, btManifoldResult.cpp",
+    ),
+    (
+        "rapier",
+        "Rapier",
+        "mean: the default rule",
+        _mean,
+        _mean,
+        "Rapier 0.32, CoefficientCombineRule",
+    ),
+    (
+        "drake",
+        "Drake",
+        "2 a b / (a + b)",
+        _harmonic_mean,
+        None,
+        "Drake 0ffdade9, coulomb_friction.h",
+    ),
 )
-"""How each stack combines the frictions a and b of two materials.
+"""Name for `--as`, stack, its rule for frictions a and b, the rule as functions for friction and restitution, source.
 
-MuJoCo: "Contact parameters" of its documentation. Newton: `solvers/xpbd/kernels.py`. Genesis:
-`rigid/collider/contact.py`. PhysX: `PxCombineMode`, of which the later of average, min, multiply, max counts. Isaac
-Lab: `RigidBodyMaterialCfg`. Bullet: `btManifoldResult`. Rapier: `CoefficientCombineRule`. Drake:
-`CalcContactFrictionFromSurfaceProperties`.
+A stack without a rule for restitutions rebounds by constants of its contacts.
 """
 
+MAX_PAIRS = 6
+"""Largest number of groups of pairs that are measured without `--pair`."""
 
-def pair_parts(robot: Robot, names: tuple[str, str]) -> list[Part]:
-    """Return the friction in force between two geoms with its rule, and that of other stacks.
+SHOWN = {
+    "creep at 0.9 of the limit": "creep at 0.9 of the limit",
+    "slide at 45 degrees over Coulomb": "diagonal slide",
+    "hop at 4 m/s": "hop at 4 m/s",
+    "rebound": "rebound",
+    "grazing impact over Coulomb": "grazing impact",
+}
+"""Title of each value in the table of pairs that touch."""
+
+HALVED = 0.5
+"""Largest share of the worst deviation that a change may leave."""
+
+
+def pair_parts(
+    configuration: TrainingConfiguration, names: tuple[str, str], stack: str = ""
+) -> list[Part]:
+    """Return the page of two geoms: friction in force, what follows from it, a change, and the same in other stacks.
 
     Args:
-        robot: The model.
+        configuration: The configuration of a model with these geoms, which can touch.
         names: Names of the two geoms.
+        stack: Name of a stack of `STACKS`; all when empty.
 
     Raises:
-        TargetError: The geoms cannot touch.
+        UnknownNameError: There is no such stack.
+        TargetError: A geom cannot be measured alone.
     """
-    model, pairs = robot.model, robot.pairs
-    first, second = (model.geom(name).id for name in names)
-    rows = np.flatnonzero((pairs.geoms == sorted((first, second))).all(axis=1))
-    if not rows.size:
-        raise TargetError(
-            f"{names[0]} and {names[1]} cannot touch: their contype and conaffinity, their bodies or an exclude keep "
-            "them apart"
-        )
-    constants = pairs.constants[rows[0]]
-    frictions = [float(model.geom_friction[geom, 0]) for geom in (first, second)]
-    condim, friction = int(constants[0]), float(constants[1])
+    known = dict.fromkeys(name for name, *_ in STACKS)
+    if stack and stack not in known:
+        raise UnknownNameError("stack", stack, known)
+    robot = configuration.robot
+    assert robot is not None, "a target with geoms has a robot"
+    model = robot.model
+    geoms = [geom_name(model, geom) for geom in range(model.ngeom)]
+    pair = sorted_pair(geoms.index(names[0]), geoms.index(names[1]))
+    forces_n = touching(robot).get(pair)
+    measured = _bench(robot, pair, forces_n)
+    values = measured.values()
+    load = f"pressed with {digits_text(measured.touch.load_n)} N" + (
+        " in the run" if forces_n is not None else ", its weight"
+    )
     texts = [
-        f"{names[0]} and {names[1]}: friction {digits_text(friction)} is in force, {_rule(model, first, second)}",
-        f"condim {condim}",
-        *_time_constant(constants[COLUMNS["solref"]], model.opt.timestep),
+        f"{names[0]} and {names[1]}: friction {digits_text(measured.friction)} is in force, {_rule(robot, pair)}",
+        *_constants_texts(robot, pair),
+        f"{digits_text(measured.touch.mass_kg)} kg {load}",
     ]
-    masses_kg = [
-        float(model.body_subtreemass[model.body_rootid[model.geom_bodyid[geom]]])
-        for geom in (first, second)
-        if model.geom_bodyid[geom]
+    rows = [
+        (
+            value.name,
+            _value_text(value),
+            "" if value.law is None else f"{value.law:g} +- {value.width:g}",
+        )
+        for value in values
     ]
-    if len(masses_kg) == 2:
-        ratio = max(masses_kg) / max(min(masses_kg), np.finfo(float).tiny)
-        texts.append(f"masses {digits_text(ratio)} to 1")
-    return [Paragraph(f"{', '.join(texts)}.", Tone.ANSWER), _stack_table(*frictions)]
+    rebound = next(value.value for value in values if value.name == "rebound")
+    return [
+        Paragraph(f"{', '.join(texts)}.", Tone.ANSWER),
+        grid(("these two geoms alone", "here", "law"), rows),
+        Paragraph(_fix_text(configuration, measured, names), Tone.ANSWER),
+        _stack_table(model, pair, rebound, stack),
+    ]
 
 
-def _rule(model: mujoco.MjModel, first: int, second: int) -> str:
+def touching_table(configuration: TrainingConfiguration) -> list[Part]:
+    """Return a table of the pairs that touch in a run from the keyframe, equal ones in a line; nothing without."""
+    robot = configuration.robot
+    if robot is None:
+        return []
+    groups: dict[tuple[object, ...], list[tuple[int, int]]] = {}
+    forces_n = touching(robot)
+    for pair in sorted(forces_n, key=lambda pair: -forces_n[pair][0]):
+        sizes = robot.model.geom_size[list(pair)].tolist()
+        key = (
+            str(sizes),
+            str(_constants(robot, pair).tolist()),
+            _rule(robot, pair),
+        )
+        groups.setdefault(key, []).append(pair)
+    rows = [
+        _touching_row(robot, pairs, forces_n[pairs[0]])
+        for pairs in [*groups.values()][:MAX_PAIRS]
+    ]
+    titles = "pairs that touch", "friction", *SHOWN.values()
+    return [grid(titles, rows)] if rows else []
+
+
+def _touching_row(
+    robot: Robot, pairs: list[tuple[int, int]], forces_n: FloatArray
+) -> list[str]:
+    """Return the line of pairs with equal contacts, measured for the one with the largest load."""
+    measured = _bench(robot, pairs[0], forces_n)
+    texts = {value.name: _value_text(value) for value in measured.values()}
+    sides = [
+        listed([geom_name(robot.model, geom) for geom in dict.fromkeys(side)])
+        for side in zip(*pairs, strict=True)
+    ]
+    friction = f"{digits_text(measured.friction)}, {_rule(robot, pairs[0])}"
+    return [" with ".join(sides), friction, *(texts.get(n, "-") for n in SHOWN)]
+
+
+def sorted_pair(first: int, second: int) -> tuple[int, int]:
+    """Return two geoms, the smaller first."""
+    return min(first, second), max(first, second)
+
+
+def _bench(robot: Robot, pair: tuple[int, int], forces_n: FloatArray | None) -> Bench:
+    return bench(robot, touch_of(robot, pair, forces_n), _constants(robot, pair))
+
+
+def _constants(robot: Robot, pair: tuple[int, int]) -> FloatArray:
+    """Return the effective constants of two geoms that can touch, shape [17]."""
+    row = np.flatnonzero((robot.pairs.geoms == pair).all(axis=1))[0]
+    return np.asarray(robot.pairs.constants[row])
+
+
+def _value_text(value: Value) -> str:
+    if math.isnan(value.value):
+        return "-"
+    return f"{digits_text(round(value.value, 6) + 0.0)} {value.unit}".rstrip()
+
+
+# --- the contact -----------------------------------------------------------------------------------------------------
+
+
+def _explicit(model: mujoco.MjModel, first: int, second: int) -> int | None:
+    """Return the explicit pair of two geoms; None without one."""
+    ends = np.sort(np.column_stack([model.pair_geom1, model.pair_geom2]), axis=1)
+    found = np.flatnonzero((ends == [first, second]).all(axis=1))
+    return int(found[0]) if found.size else None
+
+
+def _rule(robot: Robot, pair: tuple[int, int]) -> str:
     """Return where the friction of two geoms comes from."""
-    explicit = np.column_stack([model.pair_geom1, model.pair_geom2])
-    if any(set(row) == {first, second} for row in explicit.tolist()):
+    model, (first, second) = robot.model, pair
+    condim = _constants(robot, pair)[0]
+    if condim == 1:
+        return "as condim is 1"
+    if overrides_contacts(model):
+        return "stated by o_friction of the option"
+    if _explicit(model, first, second) is not None:
         return "stated by their pair"
     stated = [model.geom_friction[geom, 0] for geom in (first, second)]
     values = " and ".join(digits_text(float(value)) for value in stated)
-    ranks = [int(model.geom_priority[geom]) for geom in (first, second)]
-    if ranks[0] != ranks[1]:
+    if model.geom_priority[first] != model.geom_priority[second]:
         return f"of the geom with the higher priority, of {values}"
     return f"the greater of {values}"
 
 
-def _time_constant(solref: np.ndarray, step_s: float) -> list[str]:
-    """Return the time constant of the contact in steps; empty for stiffness and damping."""
-    if solref[0] <= 0.0:
-        return []
-    return [f"time constant {digits_text(float(solref[0]) / step_s)} steps"]
+def _constants_texts(robot: Robot, pair: tuple[int, int]) -> Iterator[str]:
+    """Yield condim, the time constant in steps unless stiffness and damping are given, and the ratio of masses."""
+    model, constants = robot.model, _constants(robot, pair)
+    yield f"condim {constants[0]:.0f}"
+    time_s = constants[COLUMNS["solref"]][0]
+    if time_s > 0.0:
+        yield f"time constant {digits_text(float(time_s / model.opt.timestep))} steps"
+    if can_move(model)[list(pair)].all():
+        roots = model.body_rootid[model.geom_bodyid[list(pair)]]
+        masses_kg = model.body_subtreemass[roots]
+        yield f"masses {digits_text(float(masses_kg.max() / masses_kg.min()))} to 1"
 
 
-def _stack_table(first: float, second: float) -> Table:
-    """Return the friction of the same two materials in other stacks."""
-    rows = [
-        (stack, digits_text(rule(first, second)), words)
-        for stack, words, rule in STACKS
-    ]
-    return grid(("the same materials in", "friction", "rule"), rows)
+def _stack_table(
+    model: mujoco.MjModel, pair: tuple[int, int], rebound: float, stack: str
+) -> Table:
+    """Return the friction of the same two materials in other stacks, and the restitution of both for this rebound."""
+    stated = [float(model.geom_friction[geom, 0]) for geom in pair]
+    explicit = _explicit(model, *pair)
+    if explicit is not None:
+        stated = 2 * [float(model.pair_friction[explicit, 0])]
+    rows = []
+    for name, title, words, rule, restitution, source in STACKS:
+        if stack in ("", name):
+            both = "contact constants"
+            if restitution is not None:
+                both = digits_text(
+                    math.sqrt(max(rebound, 0.0))
+                    if restitution is _product
+                    else max(rebound, 0.0)
+                )
+            row = [title, digits_text(rule(*stated)), words, both]
+            rows.append([*row, source] if stack else row)
+    materials = " and ".join(map(digits_text, stated))
+    titles = [f"{materials} in", "friction", "rule", "restitution of both"]
+    return grid([*titles, "source"] if stack else titles, rows)
+
+
+# --- the change ------------------------------------------------------------------------------------------------------
+
+
+def _fix_text(
+    configuration: TrainingConfiguration, measured: Bench, names: tuple[str, str]
+) -> str:
+    """Return the cheapest line that mends the worst value without harm to the others, with its price, after a trial."""
+    before = measured.values()
+    worst = max(before, key=lambda value: value.deviation)
+    if worst.deviation <= 1.0:
+        return "All values are within the widths of their laws."
+    robot = configuration.robot
+    assert robot is not None
+    if keeps_recipe(robot.model):
+        return f"Worst: {worst.name}. The lines of the recipe stay; gauge recipe prints what others would cost."
+    step_s, solref = robot.model.opt.timestep, measured.model.pair_solref[0].tolist()
+    tangential = {"contact_solreffriction": (0.0, -0.95 / step_s)}
+    candidates = [*candidates_of(configuration), {"cone": "elliptic", **tangential}]
+    best: tuple[float, Settings, list[Value]] | None = None
+    for changes in candidates:
+        after = measured.changed(changes).values()
+        left = max(v.deviation for v in after if v.name == worst.name)
+        if _harms(before, after, worst.name, solref) or left > HALVED * worst.deviation:
+            continue
+        if best is None or left < best[0]:
+            changed = _with_line(robot, measured, changes)
+            if changed is None or motion_harm(robot, changed):
+                continue
+            best = left, changes, after
+        if left <= 1.0:
+            break
+    if best is None:
+        return f"Worst: {worst.name}. None of {len(candidates)} tried changes halves its error without harm."
+    return _line_text(measured, names, before, *best[1:], worst.name)
+
+
+def _harms(
+    before: list[Value], after: list[Value], worst: str, solref: Sequence[float]
+) -> bool:
+    """Return whether a value other than the worst leaves its law, or a rebound changes."""
+    if len(before) != len(after):
+        return True
+    for old, new in zip(before, after, strict=True):
+        if new.law is None and changes_rebound(old.value, new.value, solref):
+            return True
+        if old.name != worst and new.deviation > max(1.0, 1.2 * old.deviation):
+            return True
+    return False
+
+
+def _line_text(
+    measured: Bench,
+    names: tuple[str, str],
+    before: list[Value],
+    changes: Settings,
+    after: list[Value],
+    worst: str,
+) -> str:
+    """Return a change as it is pasted, the first and the worst value that it mends, and what it costs."""
+    mended, price = list[str](), list[str]()
+    for old, new in zip(before, after, strict=True):
+        text = f"{new.name} {_value_text(old)} -> {_value_text(new)}"
+        if old.deviation > max(1.0, new.deviation):
+            mended += [text] if not mended or old.name == worst else []
+        elif new.deviation > old.deviation + 0.1:
+            price.append(text)
+    if "timestep_s" in changes:
+        times = measured.model.opt.timestep / changes["timestep_s"]
+        price.append(f"{times:g} times as many steps")
+    options = {k: v for k, v in changes.items() if k not in PAIR_FIELDS}
+    lines = [dialect("mjcf").paste_text(options)] if options else []
+    if len(options) < len(changes):
+        lines.append(_pair_line(measured.changed(changes).model, names))
+    line = f"Best line: {' and '.join(lines)}: {', '.join(mended)}"
+    return f"{line}; price: {', '.join(price) or 'none of these values'}."
+
+
+def _pair_line(model: mujoco.MjModel, names: tuple[str, str]) -> str:
+    """Return the explicit pair of a bench in MJCF."""
+    numbers = {
+        "condim": [model.pair_dim[0]],
+        "friction": model.pair_friction[0],
+        "solref": model.pair_solref[0],
+        "solimp": model.pair_solimp[0],
+    }
+    if model.pair_solreffriction[0].any():
+        numbers["solreffriction"] = model.pair_solreffriction[0]
+    for key, value in (("margin", model.pair_margin[0]), ("gap", model.pair_gap[0])):
+        if value:
+            numbers[key] = [value]
+    texts = (
+        f'{key}="{" ".join(f"{n:g}" for n in row)}"' for key, row in numbers.items()
+    )
+    return f'<contact><pair geom1="{names[0]}" geom2="{names[1]}" {" ".join(texts)}/></contact>'
+
+
+def _with_line(robot: Robot, measured: Bench, changes: Settings) -> Robot | None:
+    """Return the robot with a change of a pair; None where its file cannot have it."""
+    model = copy.copy(robot.model)
+    pair = sorted_pair(measured.touch.fixed, measured.touch.moving)
+    if any(name in PAIR_FIELDS for name in changes) and _explicit(model, *pair) is None:
+        if robot.spec is None or not all(model.geom(geom).name for geom in pair):
+            return None
+        spec, small = robot.spec.copy(), measured.model
+        added = spec.add_pair(
+            geomname1=model.geom(pair[0]).name, geomname2=model.geom(pair[1]).name
+        )
+        added.condim, added.friction = int(small.pair_dim[0]), small.pair_friction[0]
+        added.solref, added.solimp = small.pair_solref[0], small.pair_solimp[0]
+        added.margin, added.gap = small.pair_margin[0], small.pair_gap[0]
+        model = spec.compile()
+    row = _explicit(model, *pair)
+    for name, value in changes.items():
+        if name in PAIR_FIELDS:
+            getattr(model, f"pair_{PAIR_FIELDS[name]}")[row] = value
+        else:
+            set_option(model.opt, name, value)
+    return replace(robot, model=model, pairs=contact_pairs(model))

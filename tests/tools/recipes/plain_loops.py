@@ -21,13 +21,15 @@ HALF_PLATE_M = (0.06, 0.06, 0.015)
 
 @dataclass(frozen=True, kw_only=True)
 class Foot:
-    """A box or, without a size, a ball at rest above the plane z = 0."""
+    """A box or, without edges, a ball above the plane z = 0, which moves along x at the start."""
 
     mass_kg: float
     step_s: float
     height_m: float
     gravity: tuple[float, float, float] = (0.0, 0.0, -G)
     half_m: tuple[float, ...] = ()
+    radius_m: float = RADIUS_M
+    speed_m_per_s: float = 0.0
 
 
 def slide(loop, snippet, friction, mass_kg, step_s):
@@ -55,37 +57,61 @@ def rebound(loop, snippet, mass_kg, step_s):
         drop = DROP_M + math.sqrt(2.0 * G * DROP_M) * step_s * phase / PHASES
         foot = Foot(mass_kg=mass_kg, step_s=step_s, height_m=RADIUS_M + drop)
         heights = loop(snippet, foot)[:, 2] - RADIUS_M
-        low = int(np.argmax(np.diff(heights) > 1e-7))
-        restitutions.append(math.sqrt(max(float(heights[low:].max()), 0.0) / drop))
+        landed = heights[round(math.sqrt(2.0 * drop / G) / step_s) :]
+        restitutions.append(math.sqrt(max(float(landed.max()), 0.0) / drop))
     return float(np.mean(restitutions))
 
 
-def impact_friction(loop, snippet, friction, mass_kg, step_s):
-    """Return the friction of three oblique impacts that is farthest from Coulomb's law.
+def hop(loop, snippet, mass_kg, step_s, scale=1.0):
+    """Return the largest rise of a plate that slides on level ground at 1 and 4 m/s [m]."""
+    half_m = tuple(scale * edge for edge in HALF_PLATE_M)
+    rises = []
+    for speed in (1.0, 4.0):
+        foot = Foot(
+            mass_kg=mass_kg,
+            step_s=step_s,
+            height_m=half_m[2],
+            half_m=half_m,
+            speed_m_per_s=speed,
+        )
+        rises.append(float(loop(snippet, foot)[:, 2].max()) - half_m[2])
+    return max(rises)
 
-    Tilted gravity throws a ball obliquely onto the plane. Velocities after n steps give the impulses of the contact.
+
+def impacts(loop, snippet, friction, mass_kg, step_s, scale=1.0):
+    """Return friction over Coulomb's law in oblique impacts, and the mean rebound of those in which the ball slips.
+
+    Velocities after n steps give the impulses of the contact. The rows are three speeds along the plane: two at which
+    friction stops the slip, and one at which it cannot. The columns are phases within a step.
     """
-    ratios = []
+    radius_m, down = scale * RADIUS_M, math.sqrt(2.0 * G * DROP_M)
+    ratios, rebounds = [], []
     for tangent in (0.5, 1.0, 7.0 * friction * 1.6):
-        of_phases = []
         for phase in range(PHASES):
-            drop = DROP_M + math.sqrt(2.0 * G * DROP_M) * step_s * phase / PHASES
+            drop = DROP_M + down * step_s * phase / PHASES
             foot = Foot(
                 mass_kg=mass_kg,
                 step_s=step_s,
-                height_m=RADIUS_M + drop,
-                gravity=(tangent * G, 0.0, -G),
+                height_m=radius_m + drop,
+                radius_m=radius_m,
+                speed_m_per_s=tangent * down,
             )
             places = loop(snippet, foot)
             impact_s = math.sqrt(2.0 * drop / G)
             last = round((impact_s + 0.05) / step_s)
             velocity = (places[last] - places[last - 1]) / step_s
             pressed = velocity[2] + G * last * step_s
-            taken = tangent * G * last * step_s - velocity[0]
-            grip = 2.0 / 7.0 * tangent * G * impact_s
-            of_phases.append(taken / min(friction * pressed, grip))
-        ratios.append(float(np.mean(of_phases)))
-    return friction * max(ratios, key=lambda ratio: abs(ratio - 1.0))
+            taken = tangent * down - velocity[0]
+            ratios.append(taken / min(friction * pressed, 2.0 / 7.0 * tangent * down))
+            landed = places[round(impact_s / step_s) :, 2] - radius_m
+            rebounds.append(math.sqrt(max(float(landed.max()), 0.0) / drop))
+    return np.reshape(ratios, (3, PHASES)), float(np.mean(rebounds[-PHASES:]))
+
+
+def impact_friction(loop, snippet, friction, mass_kg, step_s):
+    """Return the friction of the oblique impact that is farthest from Coulomb's law."""
+    ratios, _ = impacts(loop, snippet, friction, mass_kg, step_s)
+    return friction * float(max(ratios.ravel(), key=lambda ratio: abs(ratio - 1.0)))
 
 
 def names_of(snippet):
@@ -109,7 +135,9 @@ def mujoco(snippet, foot):
     import mujoco as mj
 
     half = " ".join(map(str, foot.half_m))
-    shape = f"type='box' size='{half}'" if half else f"type='sphere' size='{RADIUS_M}'"
+    shape = (
+        f"type='box' size='{half}'" if half else f"type='sphere' size='{foot.radius_m}'"
+    )
     model = mj.MjModel.from_xml_string(
         f"<mujoco>{snippet}<worldbody><geom name='floor' type='plane' size='9 9 1'/>"
         f"<body pos='0 0 {foot.height_m}'><freejoint/><geom name='foot' mass='{foot.mass_kg}' {shape}/></body>"
@@ -117,6 +145,7 @@ def mujoco(snippet, foot):
     )
     model.opt.gravity[:] = foot.gravity
     data = mj.MjData(model)
+    data.qvel[0] = foot.speed_m_per_s
     mj.mj_forward(model, data)
 
     def step():
@@ -136,8 +165,11 @@ def rapier(snippet, foot):
     ground = rp.Collider.halfspace((0.0, 0.0, 1.0))
     world.add_body(rp.RigidBody.fixed(), [names["with_contact"](ground)])
     builder = rp.RigidBody.dynamic().translation((0.0, 0.0, foot.height_m))
+    builder = builder.linvel((foot.speed_m_per_s, 0.0, 0.0))
     shape = (
-        rp.Collider.cuboid(*foot.half_m) if foot.half_m else rp.Collider.ball(RADIUS_M)
+        rp.Collider.cuboid(*foot.half_m)
+        if foot.half_m
+        else rp.Collider.ball(foot.radius_m)
     )
     colliders = [names["with_contact"](shape.mass(foot.mass_kg))]
     body = world.rigid_bodies[world.add_body(builder.can_sleep(False), colliders)]
@@ -164,7 +196,9 @@ def physx(snippet, foot):
         if foot.half_m:
             builder.add_box_collision(half_size=foot.half_m, material=names["material"])
         else:
-            builder.add_sphere_collision(radius=RADIUS_M, material=names["material"])
+            builder.add_sphere_collision(
+                radius=foot.radius_m, material=names["material"]
+            )
         actor = builder.build()
         actor.set_pose(sapien.Pose([0.0, 0.0, foot.height_m]))
         kind = sapien.physx.PhysxRigidDynamicComponent
@@ -172,6 +206,7 @@ def physx(snippet, foot):
         # A new mass keeps the inertia of the density.
         part.inertia = part.inertia * foot.mass_kg / part.mass
         part.mass = foot.mass_kg
+        part.linear_velocity = [foot.speed_m_per_s, 0.0, 0.0]
         return stepped_places(foot, scene.step, lambda: actor.pose.p)
     finally:
         sapien.physx.set_scene_config(**kept)
@@ -193,12 +228,13 @@ def pybullet(snippet, foot):
     if foot.half_m:
         shape = pb.createCollisionShape(pb.GEOM_BOX, halfExtents=foot.half_m, **shaped)
     else:
-        shape = pb.createCollisionShape(pb.GEOM_SPHERE, radius=RADIUS_M, **shaped)
+        shape = pb.createCollisionShape(pb.GEOM_SPHERE, radius=foot.radius_m, **shaped)
     place = {"basePosition": [0, 0, foot.height_m]}
     body = pb.createMultiBody(
         foot.mass_kg, shape, **place, **names["COORDINATES"], **here
     )
     names["set_contact"](body, floor, client)
+    pb.resetBaseVelocity(body, [foot.speed_m_per_s, 0, 0], **here)
     places = stepped_places(
         foot,
         lambda: pb.stepSimulation(**here),

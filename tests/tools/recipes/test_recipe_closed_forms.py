@@ -14,7 +14,8 @@ MUJOCO = engine_settings("mujoco")
 
 
 @pytest.mark.parametrize(
-    ("impedance", "impratio", "time_s"), [(0.9, 3.0, 0.02), (0.5, 1.0, 0.05)]
+    ("impedance", "impratio", "time_s"),
+    [(0.9, 3.0, 0.02), pytest.param(0.5, 1.0, 0.05, marks=pytest.mark.slow)],
 )
 def test_depth_and_creep_agree_with_mujocos_equation(impedance, impratio, time_s):
     """On n contacts, (1 - d) g = n k r. On a slope, damping balances the soft share of the load."""

@@ -51,6 +51,7 @@ def test_the_recipe_of_a_fabric_names_the_loss_of_its_mapping():
     assert f"tri_ke={shear:.6g}" in recipe.snippet
 
 
+@pytest.mark.slow
 def test_a_hinge_of_half_the_stiffness_is_a_miss(monkeypatch):
     """Plant a measurement: the strip bends by twice as much."""
     measure = recipes.bending_stiffness
@@ -68,6 +69,7 @@ def test_a_hinge_of_half_the_stiffness_is_a_miss(monkeypatch):
     assert lengths[1] / lengths[0] == pytest.approx(stiffness ** (1 / 3), rel=1e-6)
 
 
+@pytest.mark.slow
 def test_a_strip_that_does_not_settle_is_a_divergence_with_its_reason(monkeypatch):
     def unsettled(rollout):
         raise DivergedError("it swings")

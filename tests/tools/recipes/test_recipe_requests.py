@@ -53,6 +53,7 @@ def test_a_recipe_is_one_json_object(values):
     assert abs(away) < 0.01 and recipe["misses"] == []
 
 
+@pytest.mark.slow
 def test_torsional_and_rolling_friction_agree_with_a_plain_ball():
     """In plain MuJoCo, the snippet slows a ball by 5/2 g arm / r^2 and 5/7 g arm / r^2."""
     recipe = searched(friction=0.5, torsion_m=0.002, rolling_m=0.001, mass_kg=0.2)
@@ -81,6 +82,7 @@ def test_torsional_and_rolling_friction_agree_with_a_plain_ball():
     assert losses(recipe.snippet) == pytest.approx(expected, rel=0.01)
 
 
+@pytest.mark.slow
 def test_the_requested_creep_is_not_exceeded():
     asked = {"friction": 0.5, "mass_kg": 0.2}
     free_m_per_s = searched(**asked).reached["creep_m_s"]
@@ -105,7 +107,9 @@ def test_engines_reach_torsional_and_rolling_friction(engine):
     assert set(searched(engine, **asked, rolling_m=0.001).misses) <= IN_IMPACTS
 
 
-@pytest.mark.parametrize("place", [0, 1, 2])
+@pytest.mark.parametrize(
+    "place", [0, *(pytest.param(n, marks=pytest.mark.slow) for n in (1, 2))]
+)
 def test_the_command_prints_the_examples_of_the_page(place, gauge):
     page = (ROOT / "docs" / "recipes.md").read_text()
     command, printed = re.findall(
@@ -117,6 +121,7 @@ def test_the_command_prints_the_examples_of_the_page(place, gauge):
     assert words[: len(printed.split())] == printed.split()
 
 
+@pytest.mark.slow
 def test_a_stiffness_is_reached_as_a_depth_and_a_damping_as_a_rebound():
     """The body has 0.5 kg, on 5000 N/m and 20 N s/m."""
     recipe = searched(stiffness_n_per_m=5000.0, damping_n_s_per_m=20.0)
@@ -139,6 +144,7 @@ def test_a_miss_has_its_reason():
 # --- materials -------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_values_of_a_material_come_from_the_task_files(values):
     recipe = values("wood-on-wood --set=timestep_s=0.002 --backend mujoco")
     (pair,) = [pair for pair in material_pairs() if pair.name == "wood-on-wood"]

@@ -14,7 +14,14 @@ MODULES = {
 }
 
 
-@pytest.mark.parametrize("engine", MODULES)
+@pytest.mark.parametrize(
+    "engine",
+    [
+        "mujoco",
+        "rapier",
+        *(pytest.param(n, marks=pytest.mark.slow) for n in ("physx", "pybullet")),
+    ],
+)
 def test_the_snippet_reaches_reported_and_requested_values(engine):
     pytest.importorskip(MODULES[engine])
     aim = Aim(

@@ -10,7 +10,7 @@ from gauge_envs.tools.recipes.engines.physx import PhysXSettings
 from gauge_envs.tools.recipes.engines.pybullet import PyBulletSettings
 from gauge_envs.tools.recipes.engines.rapier import RapierSettings
 
-__all__ = ["engine_names", "engine_settings"]
+__all__ = ["engine_settings"]
 
 CLASSES: dict[str, type[ContactSettings]] = {
     "mujoco": MuJoCoSettings,
@@ -21,11 +21,6 @@ CLASSES: dict[str, type[ContactSettings]] = {
     "drake": DrakeSettings,
     "genesis": GenesisSettings,
 }
-
-
-def engine_names() -> tuple[str, ...]:
-    """Return the names of engines with recipes, installed or not."""
-    return tuple(CLASSES)
 
 
 def engine_settings(name: str) -> type[ContactSettings]:

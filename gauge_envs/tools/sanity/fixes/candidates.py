@@ -6,6 +6,8 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import mujoco
+
 from gauge_envs.tools.sanity.training import Settings, TrainingConfiguration
 
 ELLIPTIC, MARGIN = {"cone": "elliptic"}, {"contact_margin_m": 0.0}
@@ -108,10 +110,23 @@ MODEL_CANDIDATES: Mapping[str, Sequence[Settings]] = {
 """Changes that may resolve a check of the target's own model, the cheapest first; a smaller step may resolve each."""
 
 
+OF_RECIPE = ("timestep_s", "integrator", "cone", "impratio", "condim", "contact_")
+"""Prefixes of the settings that `gauge recipe` writes."""
+
+
+def keeps_recipe(model: mujoco.MjModel) -> bool:
+    """Return whether a model has lines of `gauge recipe`: a pair whose impedance is constant, as only recipes write."""
+    solimp = model.pair_solimp
+    is_constant = (solimp[:, 0] == solimp[:, 1]) & (
+        solimp[:, 2:] == [0.001, 0.5, 2.0]
+    ).all(axis=1)
+    return bool(is_constant.any())
+
+
 def candidates_of(
     configuration: TrainingConfiguration, check: str = ""
 ) -> list[dict[str, Any]]:
-    """Return the changes that differ from the settings of a configuration .
+    """Return the changes that differ from the settings of a configuration, without those that a recipe wrote.
 
     Args:
         configuration: The configuration.
@@ -128,12 +143,15 @@ def candidates_of(
         step_s = configuration.settings["timestep_s"]
         smaller = [{"timestep_s": step_s * factor} for factor in (0.5, 0.25)]
         candidates = [*candidates, *smaller]
+    robot = configuration.robot
+    is_kept = OF_RECIPE if robot is not None and keeps_recipe(robot.model) else ()
     new_changes: list[dict[str, Any]] = []
     for changes in candidates:
         new = {
             name: value
             for name, value in changes.items()
             if any(_is_new(name, value, settings) for settings in sets)
+            and not name.startswith(is_kept)
         }
         if new and new not in new_changes:
             new_changes.append(new)

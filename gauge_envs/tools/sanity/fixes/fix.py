@@ -14,8 +14,7 @@ from gauge_envs.pages.text import counted
 from gauge_envs.tools.sanity.fixes.candidates import candidates_of
 from gauge_envs.tools.sanity.fixes.change import applied
 from gauge_envs.tools.sanity.fixes.harm import (
-    hop_mm,
-    hops_more,
+    contact_harm,
     motion_harm,
     speed_ratio,
 )
@@ -162,8 +161,8 @@ class FixSearch:
         changed = self._changed(changes)
         if changed is None:
             return True
-        if changed.backend == "mujoco" and hops_more(
-            self._hop_mm(self.configuration), self._hop_mm(changed)
+        if changed.backend == "mujoco" and contact_harm(
+            self.measurements, self.configuration, changed
         ):
             return True
         robot = self.configuration.robot
@@ -173,11 +172,6 @@ class FixSearch:
             _is_worse(before, self._outcome(changes, name))
             for name, before in self._before.items()
         )
-
-    def _hop_mm(self, configuration: TrainingConfiguration) -> float:
-        """Return the largest hop of sliding bodies with the contacts of a configuration [mm]."""
-        sets = configuration.contact_sets.values()
-        return max(hop_mm(self.measurements, settings) for settings in sets)
 
     # --- the chosen change -------------------------------------------------------------------------------------------
 

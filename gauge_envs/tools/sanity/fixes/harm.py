@@ -1,4 +1,4 @@
-"""Find the harm of a change: cubes that slide fast must stay on the ground, and the model must not jump or fall.
+"""Find the harm of a change: hops of sliding cubes, rebound and friction of impacts, a model that jumps or falls.
 
 A soft contact damps the sliding speed like the normal speed. Where it stops a body within a step, friction mu lifts a
 body of speed v with mu v. The body then hops by mu^2 v^2 / (2 g): 54 mm at 4 m/s. At a step of 2 ms, a time constant of
@@ -9,21 +9,26 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Sequence
 
 import mujoco
 import numpy as np
 
-from gauge_envs.fixtures.parts import box, contact, ground, thrown
+from gauge_envs.fixtures.drop import RADIUS_M
+from gauge_envs.fixtures.parts import ball, box, contact, ground, thrown
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G, Scene
 from gauge_envs.tools.sanity.model_checks.ground import FELL, HOLD_S
 from gauge_envs.tools.sanity.object_checks.check import Scenario, lowest_m
 from gauge_envs.tools.sanity.object_checks.measure import Measurements
 from gauge_envs.tools.sanity.robot.robot import Robot, once
-from gauge_envs.tools.sanity.training import Settings
+from gauge_envs.tools.sanity.training import Settings, TrainingConfiguration
 from gauge_envs.tools.sanity.verdict import PartOutcome, SanityVerdict
 
 FRICTION = 0.257
 """Friction of the measured wooden cube (scoring/facts/slope_slider_30deg_summary.toml)."""
+
+IMPACT_M_PER_S, IMPACT_S = 2.0, 0.1
+"""Speed of impacts along the normal [m/s], and time after which they are over [s]."""
 
 SLOW_M_PER_S, FAST_M_PER_S = 1.0, 4.0
 """Initial speeds of cubes [m/s]. Hops grow with the square of the speed."""
@@ -49,6 +54,15 @@ CUBES = [
 
 NAMES = tuple(cube.name for cube in CUBES)
 
+BALLS = [
+    thrown(
+        ball(f"{along} m/s along", (0.0, -1.0 - along, RADIUS_M + 0.01), mass_kg=0.5),
+        (along, 0.0, -IMPACT_M_PER_S),
+    )
+    for along in (1.0, 2.0, 6.0)
+]
+"""Balls that meet the ground at 27, 45 and 72 degrees from the normal."""
+
 SLIDE_S = 0.6
 """Simulated time [s]: all hops reach their top in it, and the slower cubes stop after 0.4 s."""
 
@@ -57,8 +71,12 @@ SLIDE = Scenario(
     "SlopeSlider-2-wood",
     SLIDE_S,
     Scene(
-        bodies=(*CUBES, ground()),
-        contacts=(contact(NAMES, "ground", friction=FRICTION),),
+        bodies=(*CUBES, *BALLS, ground()),
+        contacts=(
+            contact(
+                (*NAMES, *(ball.name for ball in BALLS)), "ground", friction=FRICTION
+            ),
+        ),
         duration_s=SLIDE_S,
     ),
     released=NAMES,
@@ -67,6 +85,12 @@ SLIDE = Scenario(
 MIN_HOP_MM, HOP_SCATTER = 5.0, 2.0
 """Hop of a quarter of the smaller cube [mm]; and ratio within which hops scatter for one time constant, with either
 cone and with `impratio` 1 to 100."""
+
+SAME_REBOUND, USUAL_REBOUND = 0.1, 0.3
+"""Change of a rebound that does not count, and a rebound that does not: MuJoCo's defaults have 0.13."""
+
+SAME_FRICTION, USUAL_FRICTION = 0.1, 0.25
+"""The same for the error of friction in impacts over Coulomb's; MuJoCo's defaults have 0.16."""
 
 STOP_M, STOP_TOLERANCE = SLOW_M_PER_S**2 / (2.0 * FRICTION * G), 0.1
 """Coulomb's stopping distance v^2 / (2 mu g) of the slower cubes [m], and its relative tolerance: the friction of real
@@ -87,6 +111,64 @@ def hop_mm(measurements: Measurements, settings: Settings) -> float:
         return math.inf
     heights_m = [lowest_m(rollout, cube.name, cube.shape.corners_m) for cube in CUBES]
     return 1e3 * max(float((height - height[0]).max()) for height in heights_m)
+
+
+def impacts(measurements: Measurements, settings: Settings) -> tuple[float, float]:
+    """Return the rebound of a steep impact, and the largest relative error of friction in impacts at three angles.
+
+    A ball that arrives without spin at the tangential speed v loses min(mu N, 2/7 m v). NaN where not measured.
+    """
+    rollout = measurements.rollout(SLIDE, settings)
+    if isinstance(rollout, PartOutcome):
+        return math.nan, math.nan
+    last, errors = rollout.sample_at(IMPACT_S), []
+    for each in BALLS:
+        start, *_, end = rollout.velocity(each.name)[: last + 1]
+        pressed = end[2] - start[2] + G * rollout.times_s[last]
+        allowed = min(FRICTION * pressed, 2.0 / 7.0 * start[0])
+        errors.append(abs((start[0] - end[0]) / allowed - 1.0))
+    steep = rollout.velocity(BALLS[0].name)[: last + 1, 2]
+    return float(steep.max()) / IMPACT_M_PER_S, max(errors)
+
+
+def changes_rebound(
+    before: float, after: float, solref: Sequence[float] = (0.02, 1.0)
+) -> bool:
+    """Return whether a change takes a rebound that contacts mean, or adds one; False where one was not measured.
+
+    Args:
+        before: Restitution before the change.
+        after: Restitution after it.
+        solref: The contact's before it; with critical damping, no rebound is meant.
+    """
+    is_meant = solref[0] <= 0.0 or solref[1] < 1.0
+    is_lost = is_meant and after < before - SAME_REBOUND
+    return is_lost or after > max(USUAL_REBOUND, before + SAME_REBOUND)
+
+
+def contact_harm(
+    measurements: Measurements,
+    before: TrainingConfiguration,
+    after: TrainingConfiguration,
+) -> bool:
+    """Return whether sliding bodies hop more, impacts rebound otherwise, or friction in them is farther from Coulomb's.
+
+    Each set of contact constants is compared with that of the same geoms, or the first one.
+    """
+    for geoms, settings in after.contact_sets.items():
+        sets = before.contact_sets
+        former = sets.get(geoms, next(iter(sets.values())))
+        if hops_more(*(hop_mm(measurements, each) for each in (former, settings))):
+            return True
+        (rebound, error), (new_rebound, new_error) = (
+            impacts(measurements, each) for each in (former, settings)
+        )
+        solref = former.get("contact_solref", (0.02, 1.0))
+        if changes_rebound(rebound, new_rebound, solref):
+            return True
+        if new_error > max(USUAL_FRICTION, error + SAME_FRICTION):
+            return True
+    return False
 
 
 def hops_more(before_mm: float, after_mm: float) -> bool:
