@@ -12,6 +12,8 @@ from gauge_envs.tools.sanity import check, configuration
 from gauge_envs.tools.sanity.fixes.change import applied
 from gauge_envs.tools.sanity.fixes.harm import motion_harm
 
+pytestmark = pytest.mark.usefixtures("shared_measurements")
+
 OPTION = 'timestep="0.002" integrator="implicitfast"'
 FLAT = f'{OPTION} cone="elliptic" impratio="100"'
 

@@ -143,6 +143,7 @@ def test_a_report_that_passes_is_a_line():
     assert screen(report(PERIOD, ADVICE)) == [answer]
 
 
+@pytest.mark.usefixtures("shared_measurements")
 @pytest.mark.parametrize("page", ["README.md", "docs/sanity.md"])
 def test_the_screen_of_a_page_is_that_of_the_command(page, gauge):
     text = (ROOT / page).read_text()
@@ -212,6 +213,7 @@ def test_a_check_without_time_does_not_pass(gauge):
     assert "3 not measured" in outcome.stdout
 
 
+@pytest.mark.usefixtures("shared_measurements")
 def test_the_json_of_a_real_configuration(gauge):
     words = ["sanity", "HalfCheetah-v5", "--only", "rest-height", "--json"]
     first, check = map(json.loads, gauge(*words).stdout.splitlines())
