@@ -31,6 +31,7 @@ RUN: tuple[ModelCheck, ...] = (
     at_rest.overlap,
     at_rest.constraints,
     at_rest.slip,
+    at_rest.hop,
     at_rest.creep,
     free_motion.spin,
     free_motion.energy,

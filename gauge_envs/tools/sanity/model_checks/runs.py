@@ -11,7 +11,7 @@ import copy
 import mujoco
 import numpy as np
 
-from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene.geometry import FloatArray, IntArray
 from gauge_envs.tools.sanity.model_checks.drives import hold_position
 from gauge_envs.tools.sanity.robot.robot import Robot, disable_bit, once
 from gauge_envs.tools.sanity.verdict import NotApplicableError
@@ -38,6 +38,9 @@ A semi-implicit step h holds a swing of angular frequency w up to h w = 2. Sever
 stiffness over an impedance below 1, so that w is a few times as high.
 """
 
+ON_PLANE = 1
+"""Contact of a tree of bodies with fixed planes alone."""
+
 SLEEP = int(mujoco.mjtEnableBit.mjENBL_SLEEP)
 
 STATE = mujoco.mjtState.mjSTATE_INTEGRATION
@@ -52,6 +55,9 @@ class Run:
         data: The state at the end.
         points_m: Three points of each body, at its radius of gyration, in each sample [m], shape
             [sample_count, nbody, 3, 3].
+        up: Unit vector against gravity, shape [3].
+        heights_m: Height of the centre of mass of each tree of bodies in each sample [m], shape [sample_count, ntree].
+        touching: Whether each tree touches nothing, fixed planes alone (`ON_PLANE`), or more, shape as `heights_m`.
         late_state: State at the start of the last quarter, of MuJoCo's kind `mjSTATE_INTEGRATION`.
         sample_s: Time between samples [s].
         diverged_s: Time at which the state diverged [s]; infinite when it did not.
@@ -71,6 +77,9 @@ class Run:
             mujoco.mj_setState(model, data, state, STATE)
             data.time = 0.0
         self.points_m = np.full((samples, model.nbody, 3, 3), np.nan)
+        self.heights_m = np.zeros((samples, model.ntree))
+        self.touching = np.zeros((samples, model.ntree), dtype=np.int8)
+        self.up = -model.opt.gravity / max(np.linalg.norm(model.opt.gravity), 1e-9)
         self.late_state = np.zeros(mujoco.mj_stateSize(model, STATE))
         self.sample_s, self.diverged_s = sample_s, np.inf
         squares = model.body_inertia.max(axis=1) / np.maximum(model.body_mass, 1e-12)
@@ -84,6 +93,8 @@ class Run:
                     return
             axes = data.ximat.reshape(-1, 3, 3).transpose(0, 2, 1)
             self.points_m[sample] = data.xipos[:, None] + radii_m * axes
+            self.heights_m[sample] = data.subtree_com[model.tree_bodyadr] @ self.up
+            self.touching[sample] = _touching(model, data)
             if sample == samples - LATE:
                 mujoco.mj_getState(model, data, self.late_state, STATE)
 
@@ -92,6 +103,20 @@ class Run:
         """Root mean square of the speeds of the bodies in the last eighth [mm/s], shape [nbody]."""
         velocities = np.diff(self.points_m[-LATE // 2 :], axis=0) / self.sample_s
         return 1e3 * np.sqrt((velocities**2).sum(-1).mean((0, 2)))
+
+
+def _touching(model: mujoco.MjModel, data: mujoco.MjData) -> IntArray:
+    """Return for each tree of bodies 0, `ON_PLANE` where it touches fixed planes alone, or more, shape [ntree]."""
+    touching = np.zeros(model.ntree, dtype=np.int64)
+    geoms = np.asarray(data.contact.geom).reshape(-1, 2)
+    trees = model.body_treeid[model.geom_bodyid[geoms]]
+    is_plane = model.geom_type[geoms] == mujoco.mjtGeom.mjGEOM_PLANE
+    is_plane &= trees < 0
+    for side in (0, 1):
+        kinds = np.where(is_plane[:, 1 - side], ON_PLANE, ON_PLANE + 1)
+        moves = trees[:, side] >= 0
+        np.maximum.at(touching, trees[moves, side], kinds[moves])
+    return touching
 
 
 def seconds(model: mujoco.MjModel, maximum_s: float) -> float:
