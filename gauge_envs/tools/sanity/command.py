@@ -28,17 +28,6 @@ if TYPE_CHECKING:
     from gauge_envs.pages.document import Document
     from gauge_envs.pages.table import Table
     from gauge_envs.tools.sanity import Report
-    from gauge_envs.tools.sanity.comparison import Baseline
-
-
-BaselineOption = Annotated[
-    Path | None,
-    arguments.option(
-        arguments.SELECTION,
-        "JSON of an earlier run; exit code 1 on regressions only.",
-        metavar="FILE",
-    ),
-]
 
 
 FixOption = Annotated[
@@ -101,7 +90,6 @@ def sanity(
             "--strict",
         ),
     ] = False,
-    baseline: BaselineOption = None,
     fix: FixOption = None,
     is_all: Annotated[
         bool,
@@ -124,11 +112,9 @@ def sanity(
 
     Reads the target's own model, runs it, then runs measured objects with its numerical settings, and compares all with
     mechanics and real trials; gauge list phenomena shows all checks. Exit code 0: no error, all checks were measured.
-    1: an error, with --strict a warning, or a value farther from reality than in --baseline. 3: checks were not
-    measured.
+    1: an error, or with --strict a warning. 3: checks were not measured.
     """
     from gauge_envs.tools.sanity import check, configuration
-    from gauge_envs.tools.sanity.comparison import read_baseline
     from gauge_envs.tools.sanity.fix_file import check_can_fix, write_fix
     from gauge_envs.tools.sanity.pair import pair_parts
     from gauge_envs.tools.sanity.report import sanity_document
@@ -141,13 +127,12 @@ def sanity(
     chosen: dict[str, Any] = {"only": only or []}
     files = arguments.by_suffix(out, ".md", ".json")
     if against is not None:
-        if baseline is not None or pair is not None or fix is not None:
+        if pair is not None or fix is not None:
             raise ParameterError(
-                "--against goes with none of --baseline, --pair and --fix: leave them out"
+                "--against goes with neither --pair nor --fix: leave them out"
             )
         options = chosen | {"time_limit_s": timeout}
         return _compare(target, against, options, is_strict, files, form)
-    earlier = None if baseline is None else read_baseline(baseline)
     if fix is not None:
         check_can_fix(fix)
     geoms = None if pair is None else tuple(pair)
@@ -170,7 +155,7 @@ def sanity(
     _print(report, document, form, files)
     if fix is not None:
         message(write_fix(report, fix), "fix")
-    if _fails(report, earlier, is_strict=is_strict):
+    if report.errors or (is_strict and report.warnings):
         return EXIT_FAILED
     return EXIT_INCOMPLETE if report.unmeasured else 0
 
@@ -189,19 +174,6 @@ def _print(
     if os.environ.get("GITHUB_ACTIONS") == "true":
         for command in workflow_commands(report):
             typer.echo(command, err=True)
-
-
-def _fails(report: Report, baseline: Baseline | None, *, is_strict: bool) -> bool:
-    """Return whether there is an error or, if strict, a warning; with a baseline, one that is worse than there."""
-    from gauge_envs.tools.sanity.comparison import regressions
-
-    findings = report.errors | (report.warnings if is_strict else {})
-    if baseline is None:
-        return bool(findings)
-    worse = regressions(findings, baseline)
-    for text in worse:
-        message(text, "regression")
-    return bool(worse)
 
 
 def _compare(

@@ -19,9 +19,7 @@ def _session_measurements():
     return Measurements(backend("mujoco"))
 
 
-@pytest.fixture(scope="module")
-def shared_measurements(_session_measurements):
+@pytest.fixture
+def shared_measurements(_session_measurements, monkeypatch):
     """Rollouts of presets are the same for all models, so that they run once."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(run, "Measurements", lambda *_, **__: _session_measurements)
-        yield
+    monkeypatch.setattr(run, "Measurements", lambda *_, **__: _session_measurements)

@@ -1,4 +1,4 @@
-"""The sanity check as people and programs read it: screen, exit codes, JSON, baseline, wrapper and action."""
+"""The sanity check as people and programs read it: screen, exit codes, JSON, wrapper and action."""
 
 import json
 import os
@@ -18,7 +18,6 @@ from rich.console import Console
 from typer.testing import CliRunner
 
 from gauge_envs.cli.app import app
-from gauge_envs.pages.document import as_rows
 from gauge_envs.pages.terminal import Terminal
 from gauge_envs.tools import sanity
 from gauge_envs.tools.sanity import SanityWarning, SanityWrapper
@@ -223,55 +222,6 @@ def test_the_json_of_a_real_configuration(gauge):
     # solimp 0 0.8 0.01 lets a cube sink by millimetres; the preset holds it.
     assert (check["verdict"], check["configured"] < -1.0) == ("failed", True)
     assert abs(check["default"]) < 0.1
-
-
-# --- baseline --------------------------------------------------------------------------------------------------------
-
-
-def baseline(folder):
-    """Return a file with an earlier report, in which the creep is 28 mm/s."""
-    file = folder / "before.json"
-    rows = as_rows(sanity_document(report(replace(SPIN, id="creep-wood"), PERIOD)))
-    file.write_text("\n".join(map(json.dumps, rows)))
-    return file
-
-
-@pytest.mark.parametrize(
-    ("creep_mm_per_s", "second", "code"),
-    [
-        # The interval is 0.5 mm/s wide on each side.
-        (-28.4, PERIOD, 0),
-        (-29.0, PERIOD, 1),
-        (None, PERIOD, 1),
-        (
-            -28.0,
-            replace(
-                PERIOD,
-                experiment="",
-                is_own=True,
-                verdict=SanityVerdict.FAILED,
-                parts=part(1.0),
-            ),
-            1,
-        ),
-        (-28.0, WALL, 3),
-    ],
-)
-def test_a_baseline_compares_values_with_their_intervals(
-    creep_mm_per_s, second, code, monkeypatch, tmp_path
-):
-    checked = report(replace(SPIN, id="creep-wood", parts=part(creep_mm_per_s)), second)
-    outcome = run(monkeypatch, checked, "--baseline", str(baseline(tmp_path)))
-    assert outcome.exit_code == code
-    assert ("regression" in outcome.stderr) == (code == 1)
-
-
-def test_a_baseline_of_another_kind_is_an_error(monkeypatch, tmp_path):
-    before = tmp_path / "before.json"
-    before.write_text('{"id": "creep-wood"}')
-    outcome = run(monkeypatch, report(CREEP), "--baseline", str(before))
-    assert outcome.exit_code == 2
-    assert "not the output of this version" in outcome.stderr
 
 
 # --- in training -----------------------------------------------------------------------------------------------------

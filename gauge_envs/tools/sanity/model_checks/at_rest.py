@@ -9,13 +9,7 @@ import numpy as np
 
 from gauge_envs.tools.sanity.model_checks.check import Finding, leave_to, model_check
 from gauge_envs.tools.sanity.model_checks.free_motion import solver
-from gauge_envs.tools.sanity.model_checks.runs import (
-    LATE,
-    ON_PLANE,
-    Run,
-    settled,
-    start_data,
-)
+from gauge_envs.tools.sanity.model_checks.runs import LATE, ON_PLANE, Run, settled
 from gauge_envs.tools.sanity.robot.robot import (
     Robot,
     joints_of,
@@ -95,7 +89,7 @@ FRICTION = int(mujoco.mjtConstraint.mjCNSTR_FRICTION_DOF)
     is_simulated=True,
 )
 def slip(robot: Robot) -> Finding:
-    """Return the fastest slip of a body at rest with a force inside of its cone, or of a joint below its frictionloss."""
+    """Return the fastest slip at rest: of a contact inside of its cone, or of a joint below its frictionloss."""
     run, findings = settled(robot), _joint_slips(robot)
     model, data, slow = run.model, run.data, run.speeds_mm_per_s < RESTING_MM_PER_S
     is_elliptic = model.opt.cone == mujoco.mjtCone.mjCONE_ELLIPTIC
@@ -253,23 +247,21 @@ LASTING, FLAT_M = 5, 0.001
 def hop(robot: Robot) -> Finding:
     """Return the largest rise of a body without motors that lay flat on a plane before."""
     run, findings = settled(robot), []
-    model, data = robot.model, start_data(robot.model)
-    mujoco.mj_subtreeVel(model, data)
+    model = robot.model
     for body in unheld(model):
-        tree, up = int(model.body_treeid[body]), run.up
+        tree = int(model.body_treeid[body])
         if tree in robot.driven_trees or model.body_gravcomp[body]:
             continue
-        # A body without a speed upwards starts as on a plane: in the air it falls.
-        starts = abs(data.subtree_linvel[body] @ up) < STILL_MM_PER_S / 1e3
-        touching = np.array([starts, *run.touching[:, tree]])
-        heights_m = np.array([data.subtree_com[body] @ up, *run.heights_m[:, tree]])
+        heights_m, touching = run.heights_m[:, tree], run.touching[:, tree]
         for lift in np.flatnonzero(touching[1:] == 0) + 1:
             before = slice(max(0, lift - LASTING), lift)
             is_flat = np.ptp(heights_m[before]) < FLAT_M
             if not (is_flat and (touching[before] == ON_PLANE).all()):
                 continue
             flight = (touching[lift:] != 0).argmax() or len(touching)
-            rise = 1e3 * float(heights_m[lift:][:flight].max() - heights_m[before].min())
+            rise = 1e3 * float(
+                heights_m[lift:][:flight].max() - heights_m[before].min()
+            )
             text = f"{name_of(model, 'body', body)} hops {rise:.3g} mm off its plane"
             findings.append(Finding(value=rise, place=("body", body), remark=text))
     return worst(findings)
@@ -298,7 +290,7 @@ def creep(robot: Robot) -> Finding:
     rests = (busiest[model.body_rootid] < STILL_MM_PER_S) & (model.body_dofnum > 0)
     if not rests.any():
         raise NotApplicableError("nothing rests after 2 s without actions")
-    run = Run(model, finer.sample_s, finer.late_state, LATE)
+    run = Run(model, robot.up, finer.sample_s, finer.late_state, LATE)
     speeds = np.where(rests, np.nan_to_num(run.speeds_mm_per_s, nan=np.inf), -1.0)
     body = int(np.argmax(speeds))
     return Finding(

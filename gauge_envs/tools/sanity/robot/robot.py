@@ -140,10 +140,9 @@ class Robot:
         """
         model, data, label = self.model, mujoco.MjData(self.model), "initial pose"
         if model.nkey:
-            names = [model.key(index).name for index in range(model.nkey)]
-            known = next((name for name in STANDING if name in names), names[0])
-            mujoco.mj_resetDataKeyframe(model, data, names.index(known))
-            label = f"keyframe {known}".rstrip()
+            key = standing_key(model)
+            mujoco.mj_resetDataKeyframe(model, data, key)
+            label = f"keyframe {model.key(key).name}".rstrip()
         is_clipped = (model.jnt_limited != 0) & joints_of(model, "HINGE", "SLIDE")
         places = model.jnt_qposadr[is_clipped]
         data.qpos[places] = np.clip(data.qpos[places], *model.jnt_range[is_clipped].T)
@@ -217,6 +216,12 @@ class Robot:
         parallel = np.abs(axes @ normal)
         fits = np.where(is_hinge, parallel > 0.999, parallel < 1e-3)[is_part]
         return bool(fits.all() and np.abs(normal[:2]).max() > ALONG_AN_AXIS)
+
+
+def standing_key(model: mujoco.MjModel) -> int:
+    """Return the keyframe in which a robot stands, by its name, or the first one."""
+    names = [model.key(index).name for index in range(model.nkey)]
+    return next((names.index(name) for name in STANDING if name in names), 0)
 
 
 Result = TypeVar("Result")
