@@ -73,14 +73,6 @@ def sanity(
             metavar="TARGET",
         ),
     ] = None,
-    timeout: Annotated[
-        float | None,
-        arguments.timeout(
-            "Start no simulation after this time.",
-            "no limit",
-            is_positive=False,
-        ),
-    ] = None,
     only: arguments.Only = None,
     is_strict: Annotated[
         bool,
@@ -131,8 +123,7 @@ def sanity(
             raise ParameterError(
                 "--against goes with neither --pair nor --fix: leave them out"
             )
-        options = chosen | {"time_limit_s": timeout}
-        return _compare(target, against, options, is_strict, files, form)
+        return _compare(target, against, chosen, is_strict, files, form)
     if fix is not None:
         check_can_fix(fix)
     geoms = None if pair is None else tuple(pair)
@@ -145,7 +136,6 @@ def sanity(
         report = check(
             checked,
             notify=lambda result: progress.advance(result.id),
-            time_limit_s=timeout,
             **chosen,
         )
     document = sanity_document(report, details=details, is_all=is_all)

@@ -246,7 +246,6 @@ def _notes(report: Report, *, details: bool) -> list[Part]:
     texts = [f"MuJoCo warns: {text}" for text in configuration.warnings]
     if details:
         texts += configuration.notes
-    texts += report.notes
     lines: list[Part] = [Paragraph(f"note: {text}", Tone.WARNING) for text in texts]
     if missing := report.unmeasured:
         reasons = {result.id: result.remark for result in report.checks}

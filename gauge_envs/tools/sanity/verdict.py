@@ -286,7 +286,6 @@ class Report:
         wall_s: Time that the check took [s].
         fix: The change that resolves most failed checks and warnings; None when no change resolves one.
         trade: How many changes were tried, when none resolves a check without harm; empty otherwise.
-        notes: What limits the check, such as an expired time limit.
         asked: Ids of checks that were requested by their full id.
         screen: What `gauge sanity` prints, which JSON leaves out.
     """
@@ -297,7 +296,6 @@ class Report:
     wall_s: float = 0.0
     fix: Fix | None = None
     trade: str = ""
-    notes: tuple[str, ...] = ()
     asked: tuple[str, ...] = ()
     screen: str = ""
 

@@ -205,13 +205,6 @@ def test_a_check_that_is_requested_by_name_must_be_measured(monkeypatch):
     assert run(monkeypatch, checked).exit_code == 3
 
 
-def test_a_check_without_time_does_not_pass(gauge):
-    words = ["sanity", "HalfCheetah-v5", "--timeout", "0s", "--only", "creep-*,gravity"]
-    outcome = gauge(*words)
-    assert outcome.exit_code == 3
-    assert "3 not measured" in outcome.stdout
-
-
 @pytest.mark.usefixtures("shared_measurements")
 def test_the_json_of_a_real_configuration(gauge):
     words = ["sanity", "HalfCheetah-v5", "--only", "rest-height", "--json"]

@@ -44,10 +44,6 @@ USUAL_MARGIN = 1.1
 """Largest ratio to a usual limit, which is no law, that passes."""
 
 
-class NotMeasuredError(Exception):
-    """A check applies to a target and cannot be measured; the message is the reason."""
-
-
 # --- what a check measures -------------------------------------------------------------------------------------------
 
 
@@ -128,7 +124,7 @@ class TargetCheck:
         title: Phrase that names the quantity.
         unit: Unit of the value; `1` for a pure number.
         reality: The limits of the value.
-        measure: Function that measures a target. It raises `NotApplicableError` or `NotMeasuredError` with a reason.
+        measure: Function that measures a target. It raises `NotApplicableError` with a reason.
         consequence: What a failure means for a policy, in one sentence; empty when the title says it.
         is_usual: Whether the limits say what is usual: the verdict is then a warning at worst.
         is_simulated: Whether it runs the target's own model, so that settings of the engine can change it.
@@ -158,7 +154,7 @@ class TargetCheck:
         )
         try:
             finding = self.measure(configuration)
-        except (NotApplicableError, NotMeasuredError, mujoco.FatalError) as reason:
+        except (NotApplicableError, mujoco.FatalError) as reason:
             applies = not isinstance(reason, NotApplicableError)
             return replace(unmeasured, remark=str(reason), applies=applies)
         whole = self._part(WHOLE, finding.value, finding)

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
 from gauge_envs.backends import Backend, backend
-from gauge_envs.errors import GaugeError
 from gauge_envs.fixtures.recording import (
     DivergedError,
     Recording,
@@ -49,27 +47,18 @@ CONTACT_PREFIXES = (
 """Prefixes of settings that have no effect where nothing can touch."""
 
 
-class TimeLimitError(GaugeError):
-    """The time of a check is used up, and another rollout would be needed."""
-
-
 class Measurements:
     """Runs checks on one engine, and caches rollouts by scenario and settings.
 
     Args:
         engine: A backend, or the name of an installed one.
-        time_limit_s: Time after which no rollout starts any more [s]; None for no limit.
 
     Attributes:
         engine: Name of the engine.
         versions: Versions of the engine's packages.
     """
 
-    def __init__(
-        self, engine: Backend | str, *, time_limit_s: float | None = None
-    ) -> None:
-        limit_s = math.inf if time_limit_s is None else time_limit_s
-        self._ends_s = time.monotonic() + limit_s
+    def __init__(self, engine: Backend | str) -> None:
         self._known: dict[tuple[object, str, str], Any] = {}
         self._backend = backend(engine) if isinstance(engine, str) else engine
         self.engine, self.versions = self._backend.name, self._backend.versions()
@@ -84,11 +73,7 @@ class Measurements:
     def rollout(
         self, scenario: Scenario, settings: Settings
     ) -> Recording | PartOutcome:
-        """Return the rollout of a scenario with settings, or an outcome that says why there is none.
-
-        Raises:
-            TimeLimitError: The time is used up, and a simulation would start.
-        """
+        """Return the rollout of a scenario with settings, or an outcome that says why there is none."""
         return self._once(run_scenario, scenario, settings)
 
     def effective(
@@ -111,8 +96,6 @@ class Measurements:
         ]
         key = function, scenario.name, str(relevant)
         if key not in self._known:
-            if function is run_scenario and time.monotonic() >= self._ends_s:
-                raise TimeLimitError("the time limit is reached")
             self._known[key] = self._called(function, scenario, settings)
         result: Result | PartOutcome = self._known[key]
         return result
@@ -187,11 +170,7 @@ class AppliedCheck:
     advisory: str = ""
 
     def outcomes(self) -> dict[str, PartOutcome]:
-        """Return the outcome with each set.
-
-        Raises:
-            TimeLimitError: The time is used up.
-        """
+        """Return the outcome with each set."""
         return {
             geoms: self.measurements.measure(self.check, settings)
             for geoms, settings in self.sets.items()
@@ -212,11 +191,7 @@ class AppliedCheck:
         )
 
     def result(self) -> SanityResult:
-        """Return the result of the worst set, with that of the preset where a set does not pass.
-
-        Raises:
-            TimeLimitError: The time is used up.
-        """
+        """Return the result of the worst set, with that of the preset where a set does not pass."""
         outcomes = self.outcomes()
         if not outcomes:
             return replace(self.unmeasured(self.inapplicable), applies=False)

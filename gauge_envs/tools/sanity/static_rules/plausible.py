@@ -20,6 +20,7 @@ from gauge_envs.tools.sanity.static_rules.rule import Fault, rule
 from gauge_envs.tools.sanity.static_rules.shapes import (
     body_shapes,
     mesh_volume_m3,
+    solid_geoms,
 )
 
 # --- masses ----------------------------------------------------------------------------------------------------------
@@ -62,7 +63,10 @@ def density(robot: Robot) -> Iterator[Fault]:
         if dense > limit and mass_kg > MIN_SHARE * whole:
             text = f"{name} weighs {mass_kg:.3g} kg: {dense:,.0f} kg/m^3 in the box around it; lead has 12,000"
             yield Fault(("body", body), name, text, dense / limit)
-        elif 0.0 < light < least and model.body_dofnum[body]:
+        is_marker = (
+            is_object and not solid_geoms(model)[model.geom_bodyid == body].any()
+        )
+        if 0.0 < light < least and model.body_dofnum[body] and not is_marker:
             text = f"{name} weighs {mass_kg:.3g} kg: {light:.2g} kg/m^3, lighter than any other link"
             yield Fault(("body", body), name, text, least / light)
 
