@@ -177,7 +177,6 @@ class SanityResult:
         applies: Whether the check applies to the target.
         geoms: Geoms whose contact constants decide the verdict; empty when all contacts have the same.
         parts: Outcome for each part that is checked; empty when nothing was measured.
-        consequence: What a failure means for a policy, in one sentence; empty when the title says it.
         place: Element of the target's own model that decides the verdict; empty otherwise.
         file: File of this element; empty where it is unknown.
         line: Its line in the file; 0 where it is unknown.
@@ -201,7 +200,6 @@ class SanityResult:
     applies: bool = True
     geoms: str = ""
     parts: tuple[PartOutcome, ...] = ()
-    consequence: str = ""
     place: str = ""
     file: str = ""
     line: int = 0

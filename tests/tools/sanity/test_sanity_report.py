@@ -77,7 +77,6 @@ SPIN = replace(
     file="toss.xml",
     line=6,
     is_own=True,
-    consequence="What is thrown stops turning.",
 )
 DRIFT = replace(SPIN, verdict=SanityVerdict.WARNING, parts=part(0.6))
 FIX = Fix(

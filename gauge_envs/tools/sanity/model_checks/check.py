@@ -125,7 +125,6 @@ class TargetCheck:
         unit: Unit of the value; `1` for a pure number.
         reality: The limits of the value.
         measure: Function that measures a target. It raises `NotApplicableError` with a reason.
-        consequence: What a failure means for a policy, in one sentence; empty when the title says it.
         is_usual: Whether the limits say what is usual: the verdict is then a warning at worst.
         is_simulated: Whether it runs the target's own model, so that settings of the engine can change it.
     """
@@ -135,7 +134,6 @@ class TargetCheck:
     unit: str
     reality: Reality
     measure: Callable[[TrainingConfiguration], Finding]
-    consequence: str = ""
     is_usual: bool = False
     is_simulated: bool = False
 
@@ -171,7 +169,6 @@ class TargetCheck:
             place=place,
             file=file,
             line=line,
-            consequence=self.consequence if whole.verdict.is_off else "",
             parts=tuple(parts or [whole]),
         )
 
@@ -248,7 +245,6 @@ def model_check(
             unit=unit,
             reality=_limits(interval, source, consequence),
             measure=measure,
-            consequence=consequence,
             is_usual=is_usual,
             is_simulated=is_simulated,
             interval=interval,

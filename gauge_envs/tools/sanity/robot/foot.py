@@ -100,15 +100,6 @@ class FootGeometry:
         ).hexdigest()[:12]
 
     @property
-    def description(self) -> str:
-        """Text about the foot, its load and what stands for it."""
-        text = f"{self.geoms}, loaded by {self.load_kg:.3g} of {self.robot_mass_kg:.3g} kg; "
-        text += f"{COPIES} copies form a rigid body"
-        if self.softening is None:
-            return text
-        return f"{text}, with contacts {self.softening:.3g} times softer"
-
-    @property
     def _rotations(self) -> Rotation:
         return Rotation.from_euler("z", 90.0 * np.arange(COPIES)[:, None], degrees=True)
 
