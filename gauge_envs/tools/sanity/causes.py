@@ -26,6 +26,7 @@ EFFECTS = {
 """What follows from a wrong joint or body, by the check that shows it."""
 
 HARMLESS = (
+    "gravity",
     "stated-rolling",
     "stated-friction",
     "stated-margin",

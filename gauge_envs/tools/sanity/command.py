@@ -86,15 +86,9 @@ def sanity(
     is_all: Annotated[
         bool,
         arguments.option(
-            arguments.OUTPUT, "Also print the table of all checks.", "--all"
-        ),
-    ] = False,
-    details: Annotated[
-        bool,
-        arguments.option(
             arguments.OUTPUT,
-            "Also print the sources of the findings.",
-            "--details",
+            "Also print all checks, and the sources of the findings.",
+            "--all",
         ),
     ] = False,
     out: OutOption = None,
@@ -138,7 +132,7 @@ def sanity(
             notify=lambda result: progress.advance(result.id),
             **chosen,
         )
-    document = sanity_document(report, details=details, is_all=is_all)
+    document = sanity_document(report, is_all=is_all)
     if geoms is not None and checked.robot is not None:
         of_pair = pair_parts(checked.robot, (geoms[0], geoms[1]))
         document = replace(document, parts=[*of_pair, *document.parts])

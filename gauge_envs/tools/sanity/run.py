@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
@@ -50,7 +49,6 @@ def check(
         UnknownNameError: There is no such backend, or a pattern matches no check.
         MissingExtraError: The backend's engine is not installed.
     """
-    started = time.perf_counter()
     configuration = configuration_of(target)
     chosen = selection(only)
     has_hand = any(group.is_held for group in configuration.contact_groups)
@@ -71,8 +69,6 @@ def check(
     )
     if explain:
         report = FixSearch(report, measurements).run()
-    wall_s = time.perf_counter() - started
-    report = replace(report, wall_s=wall_s)
     return replace(report, screen=screen_text(report))
 
 

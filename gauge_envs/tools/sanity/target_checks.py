@@ -9,12 +9,12 @@ from gauge_envs.tools.sanity.model_checks import (
     free_motion,
     ground,
     joints,
-    numbers,
 )
-from gauge_envs.tools.sanity.model_checks.check import ModelCheck, TargetCheck
+from gauge_envs.tools.sanity.model_checks.check import ModelCheck
 from gauge_envs.tools.sanity.static_rules import STATIC_RULES
 
 READ: tuple[ModelCheck, ...] = (
+    ground.gravity,
     *STATIC_RULES,
     ground.feet,
     ground.friction,
@@ -42,7 +42,5 @@ RUN: tuple[ModelCheck, ...] = (
 MODEL_CHECKS = (*READ, *RUN)
 """Checks of the target's own model."""
 
-TARGET_CHECKS: Mapping[str, TargetCheck] = {
-    check.id: check for check in (numbers.gravity, *MODEL_CHECKS)
-}
-"""Checks of the target itself, which run none of the suite's experiments, by their id."""
+TARGET_CHECKS: Mapping[str, ModelCheck] = {check.id: check for check in MODEL_CHECKS}
+"""Checks of the target's own model, which run none of the suite's experiments, by their id."""

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 import mujoco
 import numpy as np
 
+from gauge_envs.scene import GRAVITY_M_PER_S2
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.sanity.model_checks.check import (
     Case,
@@ -32,6 +33,32 @@ from gauge_envs.tools.sanity.robot.robot import (
 )
 from gauge_envs.tools.sanity.robot.standing import SOLE_WITHIN, support_m
 from gauge_envs.tools.sanity.verdict import NotApplicableError
+
+MAX_SLOPE_DEG = 60.0
+"""Largest angle between gravity and the normal of the ground [degrees]: a tilted gravity stands for a slope."""
+
+
+@model_check(
+    "gravity",
+    title="size of gravity, which points to the ground",
+    unit="m/s^2",
+    interval=(9.76, 9.86),
+    source="standard gravity; places on Earth have 9.76 to 9.83 m/s^2",
+    consequence="Bodies fall as on another planet.",
+)
+def gravity(robot: Robot) -> Finding:
+    """Return the size of gravity. Another size is a warning at worst, as it can be another planet's gravity."""
+    vector = robot.model.opt.gravity
+    if switched_off(robot.model, "gravity") or not vector.any():
+        raise NotApplicableError("the model has no gravity")
+    size, down = float(np.linalg.norm(vector)), -float(np.asarray(robot.up) @ vector)
+    tilt_deg = math.degrees(math.acos(np.clip(down / size, -1.0, 1.0)))
+    # A tilted gravity pushes to the side.
+    size = min(size, down, key=lambda value: abs(value - GRAVITY_M_PER_S2))
+    if tilt_deg <= MAX_SLOPE_DEG:
+        return Finding(value=size, is_usual=True)
+    remark = f"gravity and the ground's normal are {tilt_deg:.3g} degrees apart"
+    return Finding(value=size, remark=remark, deviation=math.inf)
 
 
 def standing_of(robot: Robot) -> Standing:

@@ -160,14 +160,12 @@ class AppliedCheck:
         check: The check.
         sets: Settings by the geoms that touch with them; only sets that the check applies to.
         inapplicable: Why the check does not apply to the target; empty when it does.
-        advisory: Why the verdict does not count; empty when it does.
     """
 
     measurements: Measurements
     check: ObjectCheck
     sets: Sets
     inapplicable: str = ""
-    advisory: str = ""
 
     def outcomes(self) -> dict[str, PartOutcome]:
         """Return the outcome with each set."""
@@ -191,7 +189,7 @@ class AppliedCheck:
         )
 
     def result(self) -> SanityResult:
-        """Return the result of the worst set, with that of the preset where a set does not pass."""
+        """Return the result of the worst set."""
         outcomes = self.outcomes()
         if not outcomes:
             return replace(self.unmeasured(self.inapplicable), applies=False)
@@ -205,21 +203,12 @@ class AppliedCheck:
                 replace(outcome, name=name) for name, outcome in outcomes.items()
             ),
         )
-        rollout = self.measurements.rollout(self.check.scenario, self.sets[geoms])
-        if not isinstance(rollout, PartOutcome):
-            # A rollout that diverges fails even where the check is advice.
-            result = replace(result, advisory=self.advisory)
-        verdicts = {outcome.verdict for outcome in outcomes.values()}
-        if verdicts == {SanityVerdict.PASSED}:
+        if worst.verdict is not SanityVerdict.NOT_MEASURED:
             return result
-        preset = self.measurements.measure(self.check, {})
         # A scene that the engine cannot simulate at all is not checked.
-        is_unknown = {worst.verdict, preset.verdict} == {SanityVerdict.NOT_MEASURED}
-        return replace(
-            result,
-            default=preset.value,
-            applies=not is_unknown,
-        )
+        preset = self.measurements.measure(self.check, {})
+        applies = preset.verdict is not SanityVerdict.NOT_MEASURED
+        return replace(result, applies=applies)
 
 
 def worst_of(outcomes: Mapping[str, PartOutcome]) -> tuple[str, PartOutcome]:
@@ -246,21 +235,24 @@ def applied_check(
             if need in configuration.inapplicable:
                 raise NotApplicableError(configuration.inapplicable[need])
         sets = _sets_of(configuration, check)
+        if Need.REBOUND in check.needs:
+            sets = _bouncing(measurements, own_check.scenario, sets)
     except NotApplicableError as error:
         return AppliedCheck(measurements, check, {}, inapplicable=str(error))
-    applied = AppliedCheck(measurements, own_check, sets)
-    if not check.is_impact:
-        return applied
-    if reason := configuration.inapplicable.get(Need.REBOUND):
-        return replace(applied, advisory=reason)
-    bouncing = {
-        geoms: settings
-        for geoms, settings in sets.items()
-        if _has_rebound(measurements.effective(own_check.scenario, settings))
-    }
-    if bouncing:
-        return replace(applied, sets=bouncing)
-    return replace(applied, advisory=NO_IMPACT)
+    return AppliedCheck(measurements, own_check, sets)
+
+
+def _bouncing(measurements: Measurements, scenario: Scenario, sets: Sets) -> Sets:
+    """Return the sets of contact constants with an impact constant.
+
+    Raises:
+        NotApplicableError: There is none; the message is the reason.
+    """
+    effective = {name: measurements.effective(scenario, sets[name]) for name in sets}
+    bouncing = {name: sets[name] for name in sets if _has_rebound(effective[name])}
+    if not bouncing:
+        raise NotApplicableError(NO_IMPACT)
+    return bouncing
 
 
 def _sets_of(configuration: TrainingConfiguration, check: ObjectCheck) -> Sets:

@@ -156,7 +156,6 @@ def _suite_configuration(
         source="environment of this suite",
         backend=env.arguments.backend,
         settings=settings,
-        origins=dict.fromkeys(settings, f"settings of {name}"),
         inapplicable=inapplicable,
     )
 
