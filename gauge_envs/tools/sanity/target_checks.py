@@ -15,8 +15,8 @@ from gauge_envs.tools.sanity.static_rules import STATIC_RULES
 
 READ: tuple[ModelCheck, ...] = (
     ground.gravity,
-    *STATIC_RULES,
     ground.feet,
+    *STATIC_RULES,
     ground.friction,
     joints.joint_brakes,
     joints.servo_response,

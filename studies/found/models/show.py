@@ -2,8 +2,8 @@
 
 KIND is `inertia` (of a body over that of its shapes), `density` (of a body in the box around its shapes), `range` (of
 a joint), `commands` (of an actuator, and the range of its joint), `solref` (that acts on a geom), `friction` (of a
-geom, and of the world), `overlap` (of a geom at the start), `held` (speed of a joint after 2 s, and the share of its dry
-friction that acts), or `mirror` (numbers of two parts, `left,right`).
+geom, and of the world), `overlap` (of a geom at the start), `held` (speed of a joint after 2 s, and the share of its
+dry friction that acts), or `mirror` (numbers of two parts, `left,right`).
 """
 
 import sys

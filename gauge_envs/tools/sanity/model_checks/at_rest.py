@@ -9,7 +9,6 @@ import numpy as np
 
 from gauge_envs.tools.sanity.model_checks.check import Finding, leave_to, model_check
 from gauge_envs.tools.sanity.model_checks.free_motion import solver
-from gauge_envs.tools.sanity.model_checks.ground import MIN_FEET
 from gauge_envs.tools.sanity.model_checks.runs import LATE, ON_PLANE, Run, settled
 from gauge_envs.tools.sanity.robot.robot import (
     Robot,
@@ -90,10 +89,10 @@ FRICTION = int(mujoco.mjtConstraint.mjCNSTR_FRICTION_DOF)
     is_simulated=True,
 )
 def slip(robot: Robot) -> Finding:
-    """Return the fastest slip at rest: of a contact inside of its cone, or of a joint below its frictionloss."""
+    """Return the fastest slip without motors: of a contact inside of its cone, or of a joint below its frictionloss."""
     run, findings = settled(robot), _joint_slips(robot)
     model, data, slow = run.model, run.data, run.speeds_mm_per_s < RESTING_MM_PER_S
-    counted = {*range(model.ntree)} - _policy_trees(robot)
+    counted = {*range(model.ntree)} - robot.driven_trees
     is_elliptic = model.opt.cone == mujoco.mjtCone.mjCONE_ELLIPTIC
     for contact in _contacts(run):
         bodies = model.geom_bodyid[contact.geom].tolist()
@@ -119,20 +118,13 @@ def slip(robot: Robot) -> Finding:
     return worst(findings)
 
 
-def _policy_trees(robot: Robot) -> set[int]:
-    """Return the trees of a robot with one foot or two, which stands with a policy alone."""
-    standing = robot.standing
-    balances = standing is not None and len(standing.feet) < MIN_FEET
-    return robot.driven_trees if balances else set()
-
-
 def _joint_slips(robot: Robot) -> list[Finding]:
     """Return the joints that turn at rest below their frictionloss; a hinge has the speed of the end of its limb."""
     data, model, findings = settled(robot).data, robot.model, list[Finding]()
     for row in np.flatnonzero(data.efc_type == FRICTION).tolist():
         dof = data.efc_id[row]
         joint, body = int(model.dof_jntid[dof]), model.dof_bodyid[dof]
-        if model.body_treeid[body] in _policy_trees(robot):
+        if model.body_treeid[body] in robot.driven_trees:
             continue
         share = abs(data.efc_force[row]) / model.dof_frictionloss[dof]
         arm_m = reaches_m(robot)[body] if joints_of(model, "HINGE")[joint] else 1.0
