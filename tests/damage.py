@@ -43,7 +43,6 @@ from gauge_envs.tools.run.folder import earlier_outcomes
 from gauge_envs.tools.run.report import summary_document
 from gauge_envs.tools.run.spec import load_sweep_file
 from gauge_envs.tools.sanity import configuration
-from gauge_envs.tools.sanity.comparison import read_baseline
 from gauge_envs.tools.sanity.readers import gauge_probe
 from gauge_envs.tools.video.frames import FileFrames
 from gauge_envs.tools.video.track import read_track
@@ -365,17 +364,6 @@ def trial():
     return json.dumps(content).encode()
 
 
-def baseline():
-    parts = [
-        {"name": "rebound", "verdict": "failed", "deviation": 2.5},
-        {"name": "hop", "verdict": "failed", "deviation": None},
-    ]
-    return b"\n".join(
-        json.dumps({"id": f"check-{number}", "parts": parts}).encode()
-        for number in range(3)
-    )
-
-
 URDF = b"""<robot name="arm">
   <link name="base"/>
   <link name="arm">
@@ -538,7 +526,6 @@ TARGETS = {
     "trial.json": (trial, read_trials),
     "conformance.json": (example("scoring", "conformance.json"), read_columns),
     "expected.toml": (lambda: EXPECTED, read_known_failures),
-    "baseline.json": (baseline, read_baseline),
     "sweep.toml": (example("examples", "sweep.toml"), load_sweep_file),
     "scene.usda": (
         example("assets", "usd", f"{ID}.usda"),

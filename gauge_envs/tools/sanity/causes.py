@@ -17,6 +17,7 @@ EFFECTS = {
     "model-overlap": "bodies are crushed",
     "model-constraints": "joints leave their ranges",
     "model-slip": "it creeps where friction holds",
+    "model-hop": "it hops",
     "model-creep": "it creeps at rest",
     "model-spin": "it turns by itself in flight",
     "robot-energy": "it gains energy",
@@ -25,6 +26,7 @@ EFFECTS = {
 """What follows from a wrong joint or body, by the check that shows it."""
 
 HARMLESS = (
+    "gravity",
     "stated-rolling",
     "stated-friction",
     "stated-margin",

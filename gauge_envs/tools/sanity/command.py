@@ -28,17 +28,6 @@ if TYPE_CHECKING:
     from gauge_envs.pages.document import Document
     from gauge_envs.pages.table import Table
     from gauge_envs.tools.sanity import Report
-    from gauge_envs.tools.sanity.comparison import Baseline
-
-
-BaselineOption = Annotated[
-    Path | None,
-    arguments.option(
-        arguments.SELECTION,
-        "JSON of an earlier run; exit code 1 on regressions only.",
-        metavar="FILE",
-    ),
-]
 
 
 FixOption = Annotated[
@@ -95,14 +84,6 @@ def sanity(
             metavar="TARGET",
         ),
     ] = None,
-    timeout: Annotated[
-        float | None,
-        arguments.timeout(
-            "Start no simulation after this time.",
-            "no limit",
-            is_positive=False,
-        ),
-    ] = None,
     only: arguments.Only = None,
     is_strict: Annotated[
         bool,
@@ -112,20 +93,13 @@ def sanity(
             "--strict",
         ),
     ] = False,
-    baseline: BaselineOption = None,
     fix: FixOption = None,
     is_all: Annotated[
         bool,
         arguments.option(
-            arguments.OUTPUT, "Also print the table of all checks.", "--all"
-        ),
-    ] = False,
-    details: Annotated[
-        bool,
-        arguments.option(
             arguments.OUTPUT,
-            "Also print the sources of the findings.",
-            "--details",
+            "Also print all checks, and the sources of the findings.",
+            "--all",
         ),
     ] = False,
     out: OutOption = None,
@@ -135,11 +109,9 @@ def sanity(
 
     Reads the target's own model, runs it, then runs measured objects with its numerical settings, and compares all with
     mechanics and real trials; gauge list phenomena shows all checks. Exit code 0: no error, all checks were measured.
-    1: an error, with --strict a warning, or a value farther from reality than in --baseline. 3: checks were not
-    measured.
+    1: an error, or with --strict a warning. 3: checks were not measured.
     """
     from gauge_envs.tools.sanity import check, configuration
-    from gauge_envs.tools.sanity.comparison import read_baseline
     from gauge_envs.tools.sanity.fix_file import check_can_fix, write_fix
     from gauge_envs.tools.sanity.pair import pair_parts, touching_table
     from gauge_envs.tools.sanity.report import sanity_document
@@ -152,13 +124,11 @@ def sanity(
     chosen: dict[str, Any] = {"only": only or []}
     files = arguments.by_suffix(out, ".md", ".json")
     if against is not None:
-        if baseline is not None or pair is not None or fix is not None:
+        if pair is not None or fix is not None:
             raise ParameterError(
-                "--against goes with none of --baseline, --pair and --fix: leave them out"
+                "--against goes with neither --pair nor --fix: leave them out"
             )
-        options = chosen | {"time_limit_s": timeout}
-        return _compare(target, against, options, is_strict, files, form)
-    earlier = None if baseline is None else read_baseline(baseline)
+        return _compare(target, against, chosen, is_strict, files, form)
     if fix is not None:
         check_can_fix(fix)
     geoms = None if pair is None else tuple(pair)
@@ -171,10 +141,9 @@ def sanity(
         report = check(
             checked,
             notify=lambda result: progress.advance(result.id),
-            time_limit_s=timeout,
             **chosen,
         )
-    document = sanity_document(report, details=details, is_all=is_all)
+    document = sanity_document(report, is_all=is_all)
     if geoms is not None:
         of_pair = pair_parts(checked, (geoms[0], geoms[1]), stack)
         document = replace(document, parts=[*of_pair, *document.parts])
@@ -183,7 +152,7 @@ def sanity(
     _print(report, document, form, files)
     if fix is not None:
         message(write_fix(report, fix), "fix")
-    if _fails(report, earlier, is_strict=is_strict):
+    if report.errors or (is_strict and report.warnings):
         return EXIT_FAILED
     return EXIT_INCOMPLETE if report.unmeasured else 0
 
@@ -202,19 +171,6 @@ def _print(
     if os.environ.get("GITHUB_ACTIONS") == "true":
         for command in workflow_commands(report):
             typer.echo(command, err=True)
-
-
-def _fails(report: Report, baseline: Baseline | None, *, is_strict: bool) -> bool:
-    """Return whether there is an error or, if strict, a warning; with a baseline, one that is worse than there."""
-    from gauge_envs.tools.sanity.comparison import regressions
-
-    findings = report.errors | (report.warnings if is_strict else {})
-    if baseline is None:
-        return bool(findings)
-    worse = regressions(findings, baseline)
-    for text in worse:
-        message(text, "regression")
-    return bool(worse)
 
 
 def _compare(

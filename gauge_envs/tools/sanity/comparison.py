@@ -1,4 +1,4 @@
-"""Compare the checks of two reports, and a report with the JSON of an earlier run.
+"""Compare the models and the checks of two reports.
 
 Example:
     >>> from gauge_envs.tools.sanity import check
@@ -8,100 +8,22 @@ Example:
     [False]
 """
 
-import math
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import mujoco
 import numpy as np
 
-from gauge_envs.errors import TargetError
 from gauge_envs.pages.document import Document, Paragraph, Tone
 from gauge_envs.pages.table import Column, Table
-from gauge_envs.pages.text import counted, quantity_text, with_unit
-from gauge_envs.reading import reading
-from gauge_envs.text import json_document
+from gauge_envs.pages.text import counted, quantity_text
 from gauge_envs.tools.sanity.robot.model_text import COUNTS
-from gauge_envs.tools.sanity.verdict import (
-    MAX_PASSED,
-    WORSE_BY,
-    Report,
-    SanityResult,
-    SanityVerdict,
-)
-
-# --- an earlier run --------------------------------------------------------------------------------------------------
-
-Baseline = Mapping[tuple[str, str], float]
-"""Deviation of each part of each check of an earlier run, by the id of the check and the name of the part."""
-
-
-def read_baseline(path: Path) -> dict[tuple[str, str], float]:
-    """Return the deviations of an earlier run, as `regressions` takes them.
-
-    Args:
-        path: File with the output of `gauge sanity TARGET --json`.
-
-    Raises:
-        TargetError: The file is not the output of this version.
-    """
-    noun = "the output of this version's gauge sanity TARGET --json"
-    with reading(path, TargetError, noun) as content:
-        texts = content.splitlines() if content[:1] == b"{" else [content]
-        lines = [json_document(text) for text in texts if text.strip()]
-        lines = lines[0] if isinstance(lines[0], list) else lines
-        deviations = {
-            (line["id"], part["name"]): _deviation(part)
-            for line in lines
-            if "id" in line
-            for part in line["parts"]
-        }
-    if not deviations:
-        raise TargetError(
-            f"{path}: has no check; write it with gauge sanity TARGET --json > {path}"
-        )
-    return deviations
-
-
-def _deviation(part: dict[str, Any]) -> float:
-    """Return the deviation of a stored part; JSON has null for an infinite one."""
-    if not SanityVerdict(part["verdict"]).is_off:
-        return MAX_PASSED
-    return math.inf if part["deviation"] is None else float(part["deviation"])
-
-
-def regressions(findings: Mapping[str, SanityResult], baseline: Baseline) -> list[str]:
-    """Return a sentence for each part of a check that is farther from reality than in the baseline.
-
-    Farther is by more than a half-width of the interval, or out of the interval. A part that the baseline does not
-    have counts as passed there.
-
-    Args:
-        findings: Findings of a report that count.
-        baseline: Deviations of the earlier run.
-    """
-    worse = []
-    for result in findings.values():
-        for part in result.parts:
-            before = baseline.get((result.id, part.name), MAX_PASSED)
-            is_farther = part.deviation > before + WORSE_BY or before <= MAX_PASSED
-            if part.verdict.is_off and is_farther:
-                text = "-" if part.value is None else quantity_text(part.value)
-                value = with_unit(text, result.unit)
-                worse.append(
-                    f"{result.id}, {part.name or 'all contacts'}: {value}, {part.deviation:.3g} half-widths from "
-                    f"reality; the baseline has {before:.3g}"
-                )
-    return worse
-
+from gauge_envs.tools.sanity.verdict import Report, SanityResult, SanityVerdict
 
 MAX_CHANGES = 12
 """Largest number of changes of the model that the screen shows."""
-
-# --- two targets -----------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, kw_only=True)

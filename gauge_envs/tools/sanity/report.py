@@ -60,17 +60,14 @@ OBJECTS_TEXT = "Contacts: measured objects with these settings"
 """Headings of the stages."""
 
 
-def sanity_document(
-    report: Report, *, details: bool = False, is_all: bool = False
-) -> Document:
+def sanity_document(report: Report, *, is_all: bool = False) -> Document:
     """Return a sanity check: one screen with the problems, or more.
 
     Its JSON rows are the configuration with the worst verdict, then each check.
 
     Args:
         report: The report.
-        details: Whether to show the sources of reality.
-        is_all: Whether to show the table of all checks.
+        is_all: Whether to show all checks and lines, and the sources of reality.
     """
     whole = report.to_dict()
     results = whole.pop("checks")
@@ -78,14 +75,12 @@ def sanity_document(
         Paragraph(answer_text(report), Tone.ANSWER),
         *_findings(report),
         *_object_findings(report),
-        *_change(report, details=details),
-        *_notes(report, details=details),
+        *_change(report, is_all=is_all),
+        *_notes(report, is_all=is_all),
     ]
     table = _all_rows(report)
     if is_all:
-        parts.append(table)
-    if details:
-        parts += _details(report)
+        parts += [table, *_details(report)]
     markdown = (Paragraph(answer_text(report), Tone.ANSWER), table)
     return Document(parts=parts, rows=[whole, *results], markdown=markdown)
 
@@ -213,7 +208,7 @@ def _object_findings(report: Report) -> list[Part]:
     return parts
 
 
-def _change(report: Report, *, details: bool) -> list[Part]:
+def _change(report: Report, *, is_all: bool) -> list[Part]:
     """Return the best fix as a diff, with what each part resolves alone."""
     change = report.fix
     if change is None:
@@ -227,7 +222,7 @@ def _change(report: Report, *, details: bool) -> list[Part]:
         )
         text += f"; {'as fast' if is_same else percent}"
     diff = change.lines or (change.line,)
-    count = len(diff) if details else MAX_DIFF_LINES
+    count = len(diff) if is_all else MAX_DIFF_LINES
     lines: list[Part] = [
         Paragraph(text, Tone.ANSWER),
         *(Paragraph(f"  {line}") for line in diff[:count]),
@@ -240,13 +235,12 @@ def _change(report: Report, *, details: bool) -> list[Part]:
 # --- notes and details -----------------------------------------------------------------------------------------------
 
 
-def _notes(report: Report, *, details: bool) -> list[Part]:
+def _notes(report: Report, *, is_all: bool) -> list[Part]:
     """Return what the reader might miss, what the model leaves open, and where to read on."""
     configuration = report.configuration
     texts = [f"MuJoCo warns: {text}" for text in configuration.warnings]
-    if details:
+    if is_all:
         texts += configuration.notes
-    texts += report.notes
     lines: list[Part] = [Paragraph(f"note: {text}", Tone.WARNING) for text in texts]
     if missing := report.unmeasured:
         reasons = {result.id: result.remark for result in report.checks}
@@ -258,11 +252,9 @@ def _notes(report: Report, *, details: bool) -> list[Part]:
         for result in report.checks
         if result.accepted
     ]
-    if report.flags and not details:
+    if report.flags and not is_all:
         lines.append(
-            Paragraph(
-                f"--all and --details show more; {GUIDE} explains the checks", Tone.NOTE
-            )
+            Paragraph(f"--all shows more; {GUIDE} explains the checks", Tone.NOTE)
         )
     return lines
 
@@ -298,11 +290,8 @@ def measured_text(result: SanityResult) -> str:
 
 
 def _remark_text(result: SanityResult) -> str:
-    """Return the place, the remark and why the verdict does not count."""
-    advice = result.advisory if result.verdict.is_off else ""
-    return "; ".join(
-        filter(None, (result.geoms or result.place, result.remark, advice))
-    )
+    """Return the place and the remark."""
+    return "; ".join(filter(None, (result.geoms or result.place, result.remark)))
 
 
 SEVERITY = Column(
@@ -314,6 +303,5 @@ COLUMNS = (
     Column("title", "quantity"),
     Column("", "here", measured_text, is_number=True, style=_style),
     Column("", "real", lambda result: reality_text(result.reality, result.unit)),
-    Column("default", "recommended", quantity_text, is_number=True, wide_only=True),
 )
 """Columns of tables of checks."""

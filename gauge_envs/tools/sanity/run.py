@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
@@ -14,7 +13,6 @@ from gauge_envs.tools.sanity.fixes.named import with_fix
 from gauge_envs.tools.sanity.object_checks import GRASP
 from gauge_envs.tools.sanity.object_checks.measure import (
     Measurements,
-    TimeLimitError,
     applied_check,
 )
 from gauge_envs.tools.sanity.readers import configuration as configuration_of
@@ -32,7 +30,6 @@ def check(
     target: Target | TrainingConfiguration,
     *,
     only: Sequence[str] = (),
-    time_limit_s: float | None = None,
     explain: bool = True,
     notify: Callable[[SanityResult], None] | None = None,
 ) -> Report:
@@ -42,8 +39,6 @@ def check(
         target: A `TrainingConfiguration`, or a target of `gauge_envs.tools.sanity.configuration`.
         only: Ids of checks or patterns such as `creep-*`; when empty, all checks of the target's own model and of rigid
             bodies. A model with a hand also gets those of grasps.
-        time_limit_s: Time after which no simulation starts [s]; the checks that are left are not measured. None for
-            no limit.
         explain: Whether to find the best fix.
         notify: Function that is called with each result as soon as it is complete.
 
@@ -54,7 +49,6 @@ def check(
         UnknownNameError: There is no such backend, or a pattern matches no check.
         MissingExtraError: The backend's engine is not installed.
     """
-    started = time.perf_counter()
     configuration = configuration_of(target)
     chosen = selection(only)
     has_hand = any(group.is_held for group in configuration.contact_groups)
@@ -64,9 +58,9 @@ def check(
     results = absorb(accept(found, configuration))
     if explain and configuration.robot is not None:
         results = [with_fix(result, configuration.robot) for result in results]
-    measurements = Measurements(configuration.backend, time_limit_s=time_limit_s)
+    measurements = Measurements(configuration.backend)
     names = [name for name in chosen if name not in TARGET_CHECKS]
-    objects, is_cut_short = _object_results(measurements, configuration, names, notify)
+    objects = _object_results(measurements, configuration, names, notify)
     report = Report(
         configuration=configuration,
         checks=(*results, *accept(objects, configuration)),
@@ -74,15 +68,7 @@ def check(
         asked=tuple(name for name in chosen if name in only),
     )
     if explain:
-        try:
-            report = FixSearch(report, measurements).run()
-        except TimeLimitError:
-            is_cut_short = True
-    if is_cut_short:
-        limit = f"the time limit, {time_limit_s} s, is reached"
-        report = replace(report, notes=(f"{limit}: the check is incomplete",))
-    wall_s = time.perf_counter() - started
-    report = replace(report, wall_s=wall_s)
+        report = FixSearch(report, measurements).run()
     return replace(report, screen=screen_text(report))
 
 
@@ -106,20 +92,11 @@ def _object_results(
     configuration: TrainingConfiguration,
     names: Sequence[str],
     notify: Callable[[SanityResult], None] | None,
-) -> tuple[list[SanityResult], bool]:
-    """Return the results of checks of measured objects, and whether the time did not suffice for one."""
-    results, is_cut_short = [], False
+) -> list[SanityResult]:
+    """Return the results of checks of measured objects."""
+    results = []
     for name in names:
-        applied = applied_check(measurements, configuration, name)
-        try:
-            results.append(applied.result())
-        except TimeLimitError:
-            is_cut_short = True
-            results.append(applied.unmeasured(NO_TIME))
+        results.append(applied_check(measurements, configuration, name).result())
         if notify is not None:
             notify(results[-1])
-    return results, is_cut_short
-
-
-NO_TIME = "not measured within the time limit"
-"""Reason of a check for which the time did not suffice."""
+    return results

@@ -9,14 +9,14 @@ from gauge_envs.tools.sanity.model_checks import (
     free_motion,
     ground,
     joints,
-    numbers,
 )
-from gauge_envs.tools.sanity.model_checks.check import ModelCheck, TargetCheck
+from gauge_envs.tools.sanity.model_checks.check import ModelCheck
 from gauge_envs.tools.sanity.static_rules import STATIC_RULES
 
 READ: tuple[ModelCheck, ...] = (
-    *STATIC_RULES,
+    ground.gravity,
     ground.feet,
+    *STATIC_RULES,
     ground.friction,
     joints.joint_brakes,
     joints.servo_response,
@@ -31,6 +31,7 @@ RUN: tuple[ModelCheck, ...] = (
     at_rest.overlap,
     at_rest.constraints,
     at_rest.slip,
+    at_rest.hop,
     at_rest.creep,
     free_motion.spin,
     free_motion.energy,
@@ -41,7 +42,5 @@ RUN: tuple[ModelCheck, ...] = (
 MODEL_CHECKS = (*READ, *RUN)
 """Checks of the target's own model."""
 
-TARGET_CHECKS: Mapping[str, TargetCheck] = {
-    check.id: check for check in (numbers.gravity, *MODEL_CHECKS)
-}
-"""Checks of the target itself, which run none of the suite's experiments, by their id."""
+TARGET_CHECKS: Mapping[str, ModelCheck] = {check.id: check for check in MODEL_CHECKS}
+"""Checks of the target's own model, which run none of the suite's experiments, by their id."""

@@ -25,7 +25,7 @@ class Need(StrEnum):
     SPACE = "space"
     """Motion in space, not in a plane along an axis of the world."""
     REBOUND = "rebound"
-    """A restitution; without it, checks of impacts are advice."""
+    """A restitution."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,12 +58,10 @@ class TrainingConfiguration:
         source: Description of what it was read from.
         backend: Name of the physics engine.
         settings: Settings of that backend for every scene; other settings are the backend's default.
-        origins: Origin of each setting by its name, such as `option` or `floor with torso, ...`.
         contact_groups: Contact constants of a model: those on ground first, then by the number of pairs.
         notes: Properties that are not carried over, or that need attention.
         warnings: MuJoCo's warnings on the user's file, which are shown even where all checks pass.
         inapplicable: Needs of checks that the target does not meet, with the reason.
-        gravity_m_per_s2: Gravity of the target [m/s^2], shape [3]; None when it is unknown.
         up: Unit vector away from the ground, shape [3].
         is_model: Whether it was read from a MuJoCo model, for which this package recommends settings as a whole.
         foot_geometry: Foot of the robot; None when the target has none, or does not describe it.
@@ -75,12 +73,10 @@ class TrainingConfiguration:
     source: str
     backend: str
     settings: Settings
-    origins: Mapping[str, str] = field(default_factory=dict)
     contact_groups: tuple[ContactGroup, ...] = ()
     notes: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
     inapplicable: Mapping[Need, str] = field(default_factory=dict)
-    gravity_m_per_s2: Vector | None = None
     up: Vector = (0.0, 0.0, 1.0)
     is_model: bool = False
     foot_geometry: FootGeometry | None = None

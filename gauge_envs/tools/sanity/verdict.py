@@ -59,7 +59,7 @@ class Severity(StrEnum):
     NONE = ""
     """The check passed, was not measured, or follows from another finding."""
     ADVICE = "advice"
-    """A measured object moves otherwise than in reality, or a check does not count."""
+    """A measured object moves otherwise than in reality."""
     WARNING = "warning"
     """The model does not do what its file says, or what real parts do."""
     ERROR = "error"
@@ -89,7 +89,6 @@ class Reality:
         source: Source of the value.
         rationale: Reason for the tolerance.
         kind: Whether real trials or a law give the value.
-        scatter: Standard deviation of real trials, or standard uncertainty of a single recording; None for a law.
         trial_count: Number of real trials; 0 for a law.
         limits: The interval as a text, where a value has a limit on one side; empty for centre and half-width.
     """
@@ -100,7 +99,6 @@ class Reality:
     rationale: str
     _: KW_ONLY
     kind: RealityKind = RealityKind.LAW
-    scatter: float | None = None
     trial_count: int = 0
     limits: str = ""
 
@@ -131,7 +129,6 @@ class Reality:
             source,
             rationale,
             kind=RealityKind.MEASURED,
-            scatter=scatter,
             trial_count=trial_count,
         )
 
@@ -169,15 +166,12 @@ class SanityResult:
         experiment: Gymnasium id of the experiment; empty when nothing is simulated.
         unit: Unit of the values; `1` for a pure number.
         reality: Value for real objects.
-        default: Value with the backend's default; None when not measured.
         configured: Value in this configuration; None when not measured.
         verdict: SanityVerdict of this configuration.
         remark: Why it was not measured, or how it failed; empty otherwise.
-        advisory: Why the verdict does not count for the whole configuration; empty when it counts.
         applies: Whether the check applies to the target.
         geoms: Geoms whose contact constants decide the verdict; empty when all contacts have the same.
         parts: Outcome for each part that is checked; empty when nothing was measured.
-        consequence: What a failure means for a policy, in one sentence; empty when the title says it.
         place: Element of the target's own model that decides the verdict; empty otherwise.
         file: File of this element; empty where it is unknown.
         line: Its line in the file; 0 where it is unknown.
@@ -193,15 +187,12 @@ class SanityResult:
     experiment: str = ""
     unit: str
     reality: Reality
-    default: float | None = None
     configured: float | None = None
     verdict: SanityVerdict
     remark: str = ""
-    advisory: str = ""
     applies: bool = True
     geoms: str = ""
     parts: tuple[PartOutcome, ...] = ()
-    consequence: str = ""
     place: str = ""
     file: str = ""
     line: int = 0
@@ -216,7 +207,7 @@ class SanityResult:
         """Consequence of the finding."""
         if not self.verdict.is_off or self.cause or self.accepted:
             return Severity.NONE
-        if self.advisory or not self.is_own:
+        if not self.is_own:
             return Severity.ADVICE
         is_error = self.is_on_target and self.verdict is SanityVerdict.FAILED
         return Severity.ERROR if is_error else Severity.WARNING
@@ -229,8 +220,7 @@ class SanityResult:
     @property
     def is_flag(self) -> bool:
         """Whether the check is a warning or failed, counts, is not accepted, and follows from no other one."""
-        silenced = self.advisory or self.cause or self.accepted
-        return self.verdict.is_off and not silenced
+        return self.verdict.is_off and not (self.cause or self.accepted)
 
     @property
     def deviation(self) -> float:
@@ -283,10 +273,8 @@ class Report:
         configuration: The checked configuration.
         checks: Result of each check, in a fixed order.
         versions: Versions of the engine's packages, of gauge-envs and of its dependencies.
-        wall_s: Time that the check took [s].
         fix: The change that resolves most failed checks and warnings; None when no change resolves one.
         trade: How many changes were tried, when none resolves a check without harm; empty otherwise.
-        notes: What limits the check, such as an expired time limit.
         asked: Ids of checks that were requested by their full id.
         screen: What `gauge sanity` prints, which JSON leaves out.
     """
@@ -294,10 +282,8 @@ class Report:
     configuration: TrainingConfiguration
     checks: tuple[SanityResult, ...]
     versions: Mapping[str, str]
-    wall_s: float = 0.0
     fix: Fix | None = None
     trade: str = ""
-    notes: tuple[str, ...] = ()
     asked: tuple[str, ...] = ()
     screen: str = ""
 
@@ -355,10 +341,7 @@ class Report:
     def worst(self) -> SanityVerdict:
         """The worst verdict of all checks that count; `not measured` only when nothing was measured."""
         order = (SanityVerdict.FAILED, SanityVerdict.WARNING, SanityVerdict.PASSED)
-        verdicts = {
-            SanityVerdict.PASSED if result.advisory else result.verdict
-            for result in self.checks
-        }
+        verdicts = {result.verdict for result in self.checks}
         return next(filter(verdicts.__contains__, order), SanityVerdict.NOT_MEASURED)
 
     def to_dict(self) -> dict[str, Any]:

@@ -2,7 +2,8 @@
 
 KIND is `inertia` (of a body over that of its shapes), `density` (of a body in the box around its shapes), `range` (of
 a joint), `commands` (of an actuator, and the range of its joint), `solref` (that acts on a geom), `friction` (of a
-geom, and of the world), `overlap` (of a geom at the start), or `mirror` (numbers of two parts, `left,right`).
+geom, and of the world), `overlap` (of a geom at the start), `held` (speed of a joint after 2 s, and the share of its
+dry friction that acts), or `mirror` (numbers of two parts, `left,right`).
 """
 
 import sys
@@ -36,7 +37,8 @@ def density(model, name):
     """Return the mass of a body and its density in the box around its shapes."""
     body = model.body(name).id
     mass_kg = model.body_mass[body]
-    return f"{mass_kg:.3g} kg, {mass_kg / box_m(model, body).prod():.0f} kg/m^3"
+    density = mass_kg / box_m(model, body).prod()
+    return f"{mass_kg:.3g} kg, {density:.6g} kg/m^3"
 
 
 def turns(model, name):
@@ -79,6 +81,17 @@ def overlap(model, name):
     return f"{-1e3 * min(depths):.1f} mm deep"
 
 
+def held(model, name):
+    """Return the speed of a joint after 2 s, and the force of its dry friction over frictionloss."""
+    data, dof = start(model), model.joint(name).dofadr[0]
+    while data.time < 2.0:
+        mujoco.mj_step(model, data)
+    kind = mujoco.mjtConstraint.mjCNSTR_FRICTION_DOF
+    row = np.flatnonzero((data.efc_type == kind) & (data.efc_id == dof))[0]
+    share = abs(data.efc_force[row]) / model.dof_frictionloss[dof]
+    return f"{1e3 * data.qvel[dof]:.3g} mrad/s with {share:.2f} of its friction"
+
+
 def mirror(model, names):
     """Return numbers of two parts."""
     left, right = names.split(",")
@@ -96,7 +109,7 @@ def mirror(model, names):
             key: [np.atleast_1d(getattr(part, key)) for part in parts] for key in keys
         }
         return ", ".join(
-            f"{key} {a.tolist()} and {b.tolist()}"
+            f"{key} {np.array2string(a, precision=3)} and {np.array2string(b, precision=3)}"
             for key, (a, b) in pairs.items()
             if a.dtype.kind == "f" and not np.allclose(np.abs(a), np.abs(b))
         )[:200]
@@ -111,6 +124,7 @@ KINDS = {
     "solref": solref,
     "friction": friction,
     "overlap": overlap,
+    "held": held,
     "mirror": mirror,
 }
 

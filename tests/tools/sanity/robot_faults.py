@@ -38,7 +38,6 @@ FAULTS = {
         'armature="1" damping="30"',
     ),
     ("robot-joint", "friction 200"): ('frictionloss="0.2"', 'frictionloss="200"'),
-    ("robot-drive", "switch"): ('kp="80"', 'kp="10000"'),
     ("robot-drive", "step of 2 ms"): (
         "implicitfast",
         "Euler",

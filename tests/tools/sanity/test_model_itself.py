@@ -58,6 +58,13 @@ ARM = """<body name="upper" gravcomp="1"><joint name="j1" axis="0 1 0" armature=
 
 MOTORS = '<actuator><position joint="j1" kp="250" kv="9"/><position joint="j2" kp="100" kv="9"/></actuator>'
 
+PRESSED = """<geom name="block" type="box" size=".1 .1 .1"/><body name="finger" pos="0 0 .11">
+  <joint name="down" type="slide"/><geom size=".01" mass=".01"/></body>"""
+
+PRESS = (
+    '<actuator><motor joint="down"/></actuator><keyframe><key ctrl="-1"/></keyframe>'
+)
+
 BALL = FREE.format("ball", "0 0 .1", 'size=".1" friction="1 .005 .01" condim="{}"')
 
 ROLLING_PAIR = mjcf(
@@ -76,6 +83,8 @@ def result(name, xml):
     ("name", "xml", "value", "words"),
     [
         ("model-overlap", stack(2000), None, "box0 sinks"),
+        # A servo presses a finger, which counts like a body without a motor.
+        ("model-overlap", mjcf(PRESSED, ">", PRESS), None, "finger sinks"),
         ("model-constraints", hang(0.02, 20), None, "hook"),
         # Explicit steps of 20 ms make a rod that turns once a second gain 29 % of its momentum in 2 s.
         ("model-spin", mjcf(ROD, 'timestep=".02">'), 0.29, "rod"),
@@ -121,7 +130,7 @@ def test_a_right_model_passes(xml):
     modules = at_rest.__name__, free_motion.__name__
     itself = [check for check in MODEL_CHECKS if check.finding.__module__ in modules]
     results = [check.result(read) for check in itself]
-    assert len(itself) == 8
+    assert len(itself) == 9
     assert [result.remark for result in results if result.verdict.is_off] == []
 
 
@@ -147,6 +156,36 @@ def test_a_load_inside_the_cone_of_friction_rests():
         push.format(6, ""),
     ):
         assert not result("model-slip", mjcf(crate, option)).verdict.is_off
+
+
+HELD = """<body pos="0 0 1"><joint name="arm" axis="0 1 0" frictionloss="{}"/>
+  <geom type="capsule" fromto="0 0 0 .3 0 0" size=".02" mass="1"/></body>"""
+
+
+def test_a_load_below_the_dry_friction_of_a_joint_rests():
+    """A soft constraint lets an arm of 1.5 N m turn that 3 N m hold; without weight, or with 1 N m, it is right."""
+    found = result("model-slip", mjcf(HELD.format(3), ">"))
+    assert found.verdict.is_off and "0.488 of the dry friction" in found.remark
+    for loss, option in ((3, 'gravity="0 0 0">'), (0.01, ">")):
+        assert not result("model-slip", mjcf(HELD.format(loss), option)).verdict.is_off
+
+
+SLIDING = """<mujoco><option timestep="0.002"/><worldbody><geom type="plane" size="9 9 1" friction="{mu}" priority="1"
+  solref="{solref} 1"/><body name="puck" pos="0 0 {height}"><freejoint/><geom type="{kind}" size=".01 .01 .01"/></body>
+  </worldbody><keyframe><key qvel="{speed} 0 0 0 0 0"/></keyframe></mujoco>"""
+
+SLIDE = {"mu": 0.257, "solref": 0.004, "height": 0.01, "kind": "box", "speed": 4}
+
+
+@pytest.mark.parametrize("speed", [2, 4])
+def test_a_body_that_slides_on_a_plane_stays_on_it(speed):
+    """A contact that stops a body within a step lifts it with mu v: it hops by mu^2 v^2 / (2 g)."""
+    found = result("model-hop", SLIDING.format(**SLIDE | {"speed": speed}))
+    law_mm = 1e3 * (0.257 * speed) ** 2 / (2.0 * 9.81)
+    assert found.configured == pytest.approx(law_mm, rel=0.15)
+    for right in ({"speed": 0.5, "solref": 0.02}, {"height": 0.1}, {"kind": "sphere"}):
+        changed = SLIDE | {"solref": 0.02, "speed": 1} | right
+        assert not result("model-hop", SLIDING.format(**changed)).verdict.is_off
 
 
 def test_the_energy_of_a_motion_without_damping_stays():

@@ -202,7 +202,7 @@ def test_an_impact_counts_where_contacts_are_not_damped_critically(solref, has_r
         name="a", source="", backend="mujoco", settings={"contact_solref": solref}
     )
     applied = applied_check(Measurements(MUJOCO), target, "rebound")
-    assert (applied.advisory == "") is has_rebound
+    assert (applied.inapplicable == "") is has_rebound
 
 
 # --- engines ---------------------------------------------------------------------------------------------------------

@@ -12,6 +12,8 @@ from gauge_envs.tools.sanity import check, configuration
 from gauge_envs.tools.sanity.fixes.change import applied
 from gauge_envs.tools.sanity.fixes.harm import motion_harm
 
+pytestmark = pytest.mark.usefixtures("shared_measurements")
+
 OPTION = 'timestep="0.002" integrator="implicitfast"'
 FLAT = f'{OPTION} cone="elliptic" impratio="100"'
 
@@ -29,7 +31,14 @@ PLANTED = {
 """Changes of the good quadruped, and a check that detects them, by the attribute of the fix."""
 
 
-@pytest.mark.parametrize("attribute", PLANTED)
+SLOW = ("solimp", "solref", "iterations")
+"""Faults that further tests correct too, or that are of the kind of another one."""
+
+
+@pytest.mark.parametrize(
+    "attribute",
+    [pytest.param(name, marks=[pytest.mark.slow] * (name in SLOW)) for name in PLANTED],
+)
 def test_a_planted_fault_is_resolved_by_the_first_line(attribute):
     changes, name = PLANTED[attribute]
     model = mujoco.MjModel.from_xml_string(quadruped_xml(**changes))
@@ -91,7 +100,7 @@ def test_attributes_that_a_file_lacks_are_inserted(gauge, tmp_path):
     assert ' cone="elliptic"' in "".join(after)
 
 
-@pytest.mark.parametrize("folder", [".", "out"])
+@pytest.mark.parametrize("folder", [pytest.param(".", marks=pytest.mark.slow), "out"])
 def test_an_included_file_is_written_beside_the_fixed_one(folder, gauge, tmp_path):
     """A class of a file that another included file includes; the user's files stay."""
     text = quadruped_xml(**PLANTED["solref"][0])

@@ -25,8 +25,9 @@ def model(xml):
 
 
 def test_a_quadruped_stands_on_four_spheres():
-    foot = configuration(model(quadruped_xml())).foot_geometry
-    assert (foot.name, foot.foot_count) == ("FL_calf", 4)
+    read = configuration(model(quadruped_xml()))
+    foot = read.foot_geometry
+    assert (foot.name, len(read.robot.standing.feet)) == ("FL_calf", 4)
     # Four copies, each with a quarter of the 12 kg, form a rigid body.
     assert (foot.load_kg, foot.mass_kg) == pytest.approx((3.0, 12.0))
     (part,) = foot.parts
@@ -43,8 +44,8 @@ def test_a_quadruped_stands_on_four_spheres():
     ],
 )
 def test_feet_of_gymnasiums_robots(name, geoms, count):
-    foot = configuration(name).foot_geometry
-    assert (foot.geoms, foot.foot_count) == (geoms, count)
+    read = configuration(name)
+    assert (read.foot_geometry.geoms, len(read.robot.standing.feet)) == (geoms, count)
 
 
 PLANE = '<geom type="plane" size="5 5 .1"/>'

@@ -281,7 +281,13 @@ ODD = {
 """Attribute of a quadruped, a wrong one, and the fix: the value of the other legs, a start above the floor, ..."""
 
 
-@pytest.mark.parametrize("name", ODD)
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=[pytest.mark.slow] * (name in ("condim", "damping")))
+        for name in ODD
+    ],
+)
 def test_a_leg_gets_the_value_of_the_others(name, tmp_path, gauge):
     old, wrong, fix = ODD[name]
     text = good_xml().replace('forcerange="-40 40"', 'forcerange="-400 400"')

@@ -62,11 +62,7 @@ class FixSearch:
         self._known: dict[tuple[str, str], PartOutcome] = {}
 
     def run(self) -> Report:
-        """Return the report with the fix, or with the number of changes that were tried.
-
-        Raises:
-            TimeLimitError: The time is used up.
-        """
+        """Return the report with the fix, or with the number of changes that were tried."""
         tried = 0
         for changes in self._ranked(self._candidates()):
             tried += 1

@@ -17,10 +17,11 @@ import numpy as np
 from gauge_envs.fixtures.drop import RADIUS_M
 from gauge_envs.fixtures.parts import ball, box, contact, ground, thrown
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G, Scene
-from gauge_envs.tools.sanity.model_checks.ground import FELL, HOLD_S
+from gauge_envs.tools.sanity.model_checks.ground import FELL
+from gauge_envs.tools.sanity.model_checks.runs import rest, start_data
 from gauge_envs.tools.sanity.object_checks.check import Scenario, lowest_m
 from gauge_envs.tools.sanity.object_checks.measure import Measurements
-from gauge_envs.tools.sanity.robot.robot import Robot, once
+from gauge_envs.tools.sanity.robot.robot import Robot
 from gauge_envs.tools.sanity.training import Settings, TrainingConfiguration
 from gauge_envs.tools.sanity.verdict import PartOutcome, SanityVerdict
 
@@ -184,6 +185,8 @@ SPEED_BLOCKS, BLOCK_S = 4, 0.25
 
 def motion_harm(before: Robot, after: Robot) -> str:
     """Return how a change throws a model up from its start, or lets its robot fall; empty if it does not."""
+    if not before.model.nv:
+        return ""
     rise_mm, stands = _motion(before)
     new_rise_mm, stands_then = _motion(after)
     if hops_more(rise_mm, new_rise_mm):
@@ -193,31 +196,23 @@ def motion_harm(before: Robot, after: Robot) -> str:
     return ""
 
 
-@once
 def _motion(robot: Robot) -> tuple[float, bool]:
-    """Simulate 2 s from the start, with the controls of its keyframe.
+    """Return how a model moves from its start, with the controls of its keyframe.
 
     Returns:
         The largest rise of the centre of mass of a tree of bodies [mm], and whether the robot stands at the end.
         The rise is at least the depth of the overlap at the start, and infinite for a state that diverges.
     """
-    model, standing, up = robot.model, robot.standing, np.asarray(robot.up)
-    data = mujoco.MjData(model)
-    data.qpos[:], data.ctrl[:] = robot.stance.qpos, robot.stance.ctrl
-    mujoco.mj_forward(model, data)
-    _, roots = np.unique(model.body_treeid, return_index=True)
-    first_m = data.subtree_com @ up
-    rise_m = -float(data.contact.dist.min(initial=0.0))
-    for _ in range(round(HOLD_S / model.opt.timestep)):
-        mujoco.mj_step(model, data)
-        if data.warning[mujoco.mjtWarning.mjWARN_BADQACC].number:
-            return math.inf, False
-        rise_m = max(rise_m, float((data.subtree_com @ up - first_m)[roots].max()))
-    stands = False
+    run = rest(robot, is_refined=False)
+    if np.isfinite(run.diverged_s):
+        return math.inf, False
+    depth_m = -float(start_data(robot.model).contact.dist.min(initial=0.0))
+    rise_m = float((run.heights_m - run.heights_m[0]).max(initial=depth_m))
+    stands, standing = False, robot.standing
     if standing is not None:
-        last = float(data.subtree_com[standing.body] @ up) - standing.ground_m
-        first = float(first_m[standing.body]) - standing.ground_m
-        stands = last > FELL * first
+        tree = robot.model.body_treeid[standing.body]
+        first_m, last_m = run.heights_m[[0, -1], tree] - standing.ground_m
+        stands = bool(last_m > FELL * first_m)
     return 1e3 * rise_m, stands
 
 

@@ -9,8 +9,14 @@ import numpy as np
 
 from gauge_envs.tools.sanity.model_checks.check import Finding, leave_to, model_check
 from gauge_envs.tools.sanity.model_checks.free_motion import solver
-from gauge_envs.tools.sanity.model_checks.runs import LATE, Run, settled
-from gauge_envs.tools.sanity.robot.robot import Robot, joints_of, name_of
+from gauge_envs.tools.sanity.model_checks.runs import LATE, ON_PLANE, Run, settled
+from gauge_envs.tools.sanity.robot.robot import (
+    Robot,
+    joints_of,
+    name_of,
+    reaches_m,
+    unheld,
+)
 from gauge_envs.tools.sanity.verdict import NotApplicableError
 
 NOTHING = Finding(value=0.0)
@@ -41,10 +47,10 @@ def body_size_m(model: mujoco.MjModel, body: int) -> float:
     is_simulated=True,
 )
 def overlap(robot: Robot) -> Finding:
-    """Return the largest depth of contacts of bodies at rest that no motor moves."""
+    """Return the largest depth of contacts of bodies at rest."""
     run, findings = settled(robot), []
     model, speeds = run.model, run.speeds_mm_per_s
-    for contact in _contacts(run, robot):
+    for contact in _contacts(run):
         bodies = model.geom_bodyid[contact.geom].tolist()
         small, large = sorted(bodies, key=lambda body: body_size_m(model, body))
         depth_m, size_m = -float(contact.dist), body_size_m(model, small)
@@ -56,41 +62,42 @@ def overlap(robot: Robot) -> Finding:
     return worst(findings)
 
 
-def _contacts(run: Run, robot: Robot) -> list[mujoco._structs.MjContact]:
-    """Return the contacts of bodies that no motor moves, with a force, at the end of a run."""
-    trees = run.model.body_treeid[run.model.geom_bodyid]
-    is_loose = (trees >= 0) & ~np.isin(trees, list(robot.driven_trees))
+def _contacts(run: Run) -> list[mujoco._structs.MjContact]:
+    """Return the contacts of geoms with a force at the end of a run."""
     return [
         contact
         for contact in run.data.contact
-        if min(contact.geom) >= 0
-        and contact.efc_address >= 0
-        and is_loose[contact.geom].any()
+        if min(contact.geom) >= 0 and contact.efc_address >= 0
     ]
 
 
 CONE = 0.9995
-"""Share of the friction of a contact from which on it slips."""
+"""Share of the friction of a contact or joint from which on it slips."""
+
+FRICTION = int(mujoco.mjtConstraint.mjCNSTR_FRICTION_DOF)
 
 
 @model_check(
     "model-slip",
-    title="speed of a contact that friction holds",
+    title="speed of a contact or joint that friction holds",
     unit="mm/s",
     interval=(0.0, 1.0),
-    source="Coulomb: a contact with a force inside its cone of friction does not slip; 1 mm/s drifts 1 cm in 10 s",
+    source="Coulomb: a contact with a force inside its cone of friction does not slip, nor a joint with a force below "
+    "its frictionloss; 1 mm/s drifts 1 cm in 10 s",
     consequence="What friction should hold creeps.",
     is_usual=True,
     is_simulated=True,
 )
 def slip(robot: Robot) -> Finding:
-    """Return the fastest slip of a body at rest whose contacts have forces inside their cones."""
-    run, findings = settled(robot), []
+    """Return the fastest slip without motors: of a contact inside of its cone, or of a joint below its frictionloss."""
+    run, findings = settled(robot), _joint_slips(robot)
     model, data, slow = run.model, run.data, run.speeds_mm_per_s < RESTING_MM_PER_S
+    counted = {*range(model.ntree)} - robot.driven_trees
     is_elliptic = model.opt.cone == mujoco.mjtCone.mjCONE_ELLIPTIC
-    for contact in _contacts(run, robot):
+    for contact in _contacts(run):
         bodies = model.geom_bodyid[contact.geom].tolist()
-        if contact.dim < 3 or not slow[bodies].all():
+        trees = {*model.body_treeid[bodies].tolist()}
+        if contact.dim < 3 or not (slow[bodies].all() and trees & counted):
             continue
         rows = slice(contact.efc_address, contact.efc_address + 4)
         forces, rates = data.efc_force[rows], data.efc_vel[rows]
@@ -109,6 +116,24 @@ def slip(robot: Robot) -> Finding:
             text = f"{name} slips at {speed:.3g} mm/s, with {share:.3g} of the friction that holds it"
             findings.append(Finding(value=speed, place=("body", body), remark=text))
     return worst(findings)
+
+
+def _joint_slips(robot: Robot) -> list[Finding]:
+    """Return the joints that turn at rest below their frictionloss; a hinge has the speed of the end of its limb."""
+    data, model, findings = settled(robot).data, robot.model, list[Finding]()
+    for row in np.flatnonzero(data.efc_type == FRICTION).tolist():
+        dof = data.efc_id[row]
+        joint, body = int(model.dof_jntid[dof]), model.dof_bodyid[dof]
+        if model.body_treeid[body] in robot.driven_trees:
+            continue
+        share = abs(data.efc_force[row]) / model.dof_frictionloss[dof]
+        arm_m = reaches_m(robot)[body] if joints_of(model, "HINGE")[joint] else 1.0
+        speed = 1e3 * float(arm_m * abs(data.efc_vel[row]))
+        if share < CONE:
+            name, place = name_of(model, "joint", joint), ("joint", joint)
+            text = f"{name} moves its limb at {speed:.3g} mm/s, with {share:.3g} of the dry friction that holds it"
+            findings.append(Finding(value=speed, place=place, remark=text))
+    return findings
 
 
 EQUALITY = int(mujoco.mjtConstraint.mjCNSTR_EQUALITY)
@@ -209,6 +234,42 @@ def _opening(
 STILL_MM_PER_S, RESTING_MM_PER_S = 1.0, 10.0
 """Speeds at rest [mm/s]: of each body of a tree in the refined run, and of a body in the run of the model."""
 
+LASTING, FLAT_M = 5, 0.001
+"""Samples for which a body lies on a plane before it hops, and the change of its height in them [m]."""
+
+
+@model_check(
+    "model-hop",
+    title="height by which a body leaves the plane on which it slides",
+    unit="mm",
+    interval=(0.0, 1.0),
+    source="Coulomb: friction acts along a plane, so that nothing lifts a body which slides, rolls or lies on it",
+    consequence="What slides or rolls leaves the ground.",
+    is_usual=True,
+    is_simulated=True,
+)
+def hop(robot: Robot) -> Finding:
+    """Return the largest rise of a body without motors that lay flat on a plane before."""
+    run, findings = settled(robot), []
+    model = robot.model
+    for body in unheld(model):
+        tree = int(model.body_treeid[body])
+        if tree in robot.driven_trees or model.body_gravcomp[body]:
+            continue
+        heights_m, touching = run.heights_m[:, tree], run.touching[:, tree]
+        for lift in np.flatnonzero(touching[1:] == 0) + 1:
+            before = slice(max(0, lift - LASTING), lift)
+            is_flat = np.ptp(heights_m[before]) < FLAT_M
+            if not (is_flat and (touching[before] == ON_PLANE).all()):
+                continue
+            flight = (touching[lift:] != 0).argmax() or len(touching)
+            rise = 1e3 * float(
+                heights_m[lift:][:flight].max() - heights_m[before].min()
+            )
+            text = f"{name_of(model, 'body', body)} hops {rise:.3g} mm off its plane"
+            findings.append(Finding(value=rise, place=("body", body), remark=text))
+    return worst(findings)
+
 
 @model_check(
     "model-creep",
@@ -233,7 +294,7 @@ def creep(robot: Robot) -> Finding:
     rests = (busiest[model.body_rootid] < STILL_MM_PER_S) & (model.body_dofnum > 0)
     if not rests.any():
         raise NotApplicableError("nothing rests after 2 s without actions")
-    run = Run(model, finer.sample_s, finer.late_state, LATE)
+    run = Run(model, robot.up, finer.sample_s, finer.late_state, LATE)
     speeds = np.where(rests, np.nan_to_num(run.speeds_mm_per_s, nan=np.inf), -1.0)
     body = int(np.argmax(speeds))
     return Finding(

@@ -44,10 +44,6 @@ USUAL_MARGIN = 1.1
 """Largest ratio to a usual limit, which is no law, that passes."""
 
 
-class NotMeasuredError(Exception):
-    """A check applies to a target and cannot be measured; the message is the reason."""
-
-
 # --- what a check measures -------------------------------------------------------------------------------------------
 
 
@@ -120,16 +116,16 @@ def worst_case(cases: Iterable[Case], limit: float = 1.0) -> Finding:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class TargetCheck:
-    """A check of the target itself, which runs none of the suite's experiments.
+class ModelCheck:
+    """A check of the target's own model, which runs none of the suite's experiments.
 
     Attributes:
         id: Its id.
         title: Phrase that names the quantity.
         unit: Unit of the value; `1` for a pure number.
         reality: The limits of the value.
-        measure: Function that measures a target. It raises `NotApplicableError` or `NotMeasuredError` with a reason.
-        consequence: What a failure means for a policy, in one sentence; empty when the title says it.
+        interval: Limits of the value.
+        finding: Function that measures a model, once. It raises `NotApplicableError` with a reason.
         is_usual: Whether the limits say what is usual: the verdict is then a warning at worst.
         is_simulated: Whether it runs the target's own model, so that settings of the engine can change it.
     """
@@ -138,14 +134,17 @@ class TargetCheck:
     title: str
     unit: str
     reality: Reality
-    measure: Callable[[TrainingConfiguration], Finding]
-    consequence: str = ""
+    interval: tuple[float, float]
+    finding: Callable[[Robot], Finding]
     is_usual: bool = False
     is_simulated: bool = False
 
     def deviation(self, value: float) -> float:
-        """Return the distance of a value from reality, in half-widths of its interval."""
-        return self.reality.deviation(value)
+        """Return the ratio of a value to the limit that it violates; 1 between them, infinite for another sign."""
+        low, high = self.interval
+        if value < min(low, 0.0) or not math.isfinite(value):
+            return math.inf
+        return max(1.0, low / max(value, 1e-12), value / high)
 
     def result(self, configuration: TrainingConfiguration) -> SanityResult:
         """Return the result for a target: a warning up to 2.5 times the limits, failed beyond."""
@@ -156,17 +155,21 @@ class TargetCheck:
             reality=self.reality,
             verdict=SanityVerdict.NOT_MEASURED,
         )
+        robot = configuration.robot
+        if robot is None:
+            reason = "the target's own model is not read"
+            return replace(unmeasured, remark=reason, applies=False)
         try:
-            finding = self.measure(configuration)
-        except (NotApplicableError, NotMeasuredError, mujoco.FatalError) as reason:
-            applies = not isinstance(reason, NotApplicableError)
-            return replace(unmeasured, remark=str(reason), applies=applies)
+            finding = self.finding(robot)
+        except (NotApplicableError, mujoco.FatalError) as error:
+            applies = not isinstance(error, NotApplicableError)
+            return replace(unmeasured, remark=str(error), applies=applies)
         whole = self._part(WHOLE, finding.value, finding)
         parts = [self._part(*part, finding) for part in finding.parts.items()]
         place, file, line = "", "", 0
-        if finding.place is not None and configuration.robot is not None:
-            place = configuration.robot.place_text(finding.place)
-            file, line = configuration.robot.source_of(finding.place)
+        if finding.place is not None:
+            place = robot.place_text(finding.place)
+            file, line = robot.source_of(finding.place)
         return replace(
             unmeasured,
             configured=whole.value,
@@ -175,7 +178,6 @@ class TargetCheck:
             place=place,
             file=file,
             line=line,
-            consequence=self.consequence if whole.verdict.is_off else "",
             parts=tuple(parts or [whole]),
         )
 
@@ -192,26 +194,6 @@ class TargetCheck:
             verdict=verdict,
             deviation=deviation,
         )
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class ModelCheck(TargetCheck):
-    """A check of the target's own model.
-
-    Attributes:
-        interval: Limits of the value.
-        finding: Function that measures a model, once.
-    """
-
-    interval: tuple[float, float]
-    finding: Callable[[Robot], Finding]
-
-    def deviation(self, value: float) -> float:
-        """Return the ratio of a value to the limit that it violates; 1 between them, infinite for another sign."""
-        low, high = self.interval
-        if value < min(low, 0.0) or not math.isfinite(value):
-            return math.inf
-        return max(1.0, low / max(value, 1e-12), value / high)
 
 
 def model_check(
@@ -239,24 +221,15 @@ def model_check(
     """
 
     def decorate(function: Callable[[Robot], Finding]) -> ModelCheck:
-        finding = once(function)
-
-        def measure(configuration: TrainingConfiguration) -> Finding:
-            if configuration.robot is None:
-                raise NotApplicableError("the target's own model is not read")
-            return finding(configuration.robot)
-
         return ModelCheck(
             id=name,
             title=title,
             unit=unit,
             reality=_limits(interval, source, consequence),
-            measure=measure,
-            consequence=consequence,
             is_usual=is_usual,
             is_simulated=is_simulated,
             interval=interval,
-            finding=finding,
+            finding=once(function),
         )
 
     return decorate

@@ -182,7 +182,9 @@ def energy(robot: Robot) -> Finding:
     tenths = np.array_split(values, min(10, len(values)))
     energies_j = np.array([tenth.mean(axis=0) for tenth in tenths])
     totals_j, largest_j = energies_j.sum(axis=1), float(energies_j[:, 1].max())
-    gained_j = np.inf if has_diverged(data) else float(totals_j.max() - totals_j[0])
+    if has_diverged(data):
+        return Finding(value=np.inf, remark="a free motion of its joints diverges")
+    gained_j = float(totals_j.max() - totals_j[0])
     lost_j = float(totals_j[0] - totals_j.min()) if is_undamped else 0.0
     change_j, word = max((gained_j, "gains"), (lost_j, "has no damping and loses"))
     return Finding(

@@ -8,32 +8,57 @@ from collections.abc import Iterator
 import mujoco
 import numpy as np
 
+from gauge_envs.scene import GRAVITY_M_PER_S2
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.sanity.model_checks.check import (
     Case,
     Finding,
-    NotMeasuredError,
     model_check,
     worst_case,
 )
 from gauge_envs.tools.sanity.model_checks.drives import (
     drives,
-    hold_position,
     loads,
     servos,
     start,
 )
+from gauge_envs.tools.sanity.model_checks.runs import settled
 from gauge_envs.tools.sanity.robot.robot import (
     Robot,
     Standing,
     chain_of,
     geom_name,
     joints_of,
-    once,
     switched_off,
 )
 from gauge_envs.tools.sanity.robot.standing import SOLE_WITHIN, support_m
 from gauge_envs.tools.sanity.verdict import NotApplicableError
+
+MAX_SLOPE_DEG = 60.0
+"""Largest angle between gravity and the normal of the ground [degrees]: a tilted gravity stands for a slope."""
+
+
+@model_check(
+    "gravity",
+    title="size of gravity, which points to the ground",
+    unit="m/s^2",
+    interval=(9.76, 9.86),
+    source="standard gravity; places on Earth have 9.76 to 9.83 m/s^2",
+    consequence="Bodies fall as on another planet.",
+)
+def gravity(robot: Robot) -> Finding:
+    """Return the size of gravity. Another size is a warning at worst, as it can be another planet's gravity."""
+    vector = robot.model.opt.gravity
+    if switched_off(robot.model, "gravity") or not vector.any():
+        raise NotApplicableError("the model has no gravity")
+    size, down = float(np.linalg.norm(vector)), -float(np.asarray(robot.up) @ vector)
+    tilt_deg = math.degrees(math.acos(np.clip(down / size, -1.0, 1.0)))
+    # A tilted gravity pushes to the side.
+    size = min(size, down, key=lambda value: abs(value - GRAVITY_M_PER_S2))
+    if tilt_deg <= MAX_SLOPE_DEG:
+        return Finding(value=size, is_usual=True)
+    remark = f"gravity and the ground's normal are {tilt_deg:.3g} degrees apart"
+    return Finding(value=size, remark=remark, deviation=math.inf)
 
 
 def standing_of(robot: Robot) -> Standing:
@@ -155,9 +180,6 @@ MIN_GAP_MM = 10.0
 
 # --- standing --------------------------------------------------------------------------------------------------------
 
-HOLD_S, LATE_S = 2.0, 0.5
-"""Time for which servos hold the robot [s], and the end of this time, in which torques are read."""
-
 FELL, ROSE = 0.7, 1.3
 """Ratios of the heights of the centre of mass at the end and at the start: a robot below fell, a robot above rose."""
 
@@ -168,17 +190,16 @@ MIN_FEET = 3
 """Smallest number of feet on which a robot stands without a policy."""
 
 
-@once
 def hold_pose(robot: Robot) -> tuple[float, FloatArray]:
-    """Simulate a robot whose servos hold the pose in which it stands.
+    """Return how a robot ends whose servos hold the pose in which it stands.
 
     Returns:
         The ratio of the heights of its centre of mass at the end and at the start, and the mean late force of the
         actuators in each degree of freedom [N m or N], shape [nv].
 
     Raises:
-        NotApplicableError: It does not stand on three feet or more, or not all of its legs have servos.
-        NotMeasuredError: The state diverges.
+        NotApplicableError: It does not stand on three feet or more, not all of its legs have servos, or the state
+            diverges.
     """
     standing, model = standing_of(robot), robot.model
     if len(standing.feet) < MIN_FEET:
@@ -188,26 +209,9 @@ def hold_pose(robot: Robot) -> tuple[float, FloatArray]:
     servo = servos(model) & (model.actuator_gainprm[:, 0] != 0.0)
     if not all(drive.kp for drive in drives(robot) if drive.is_leg) or not servo.any():
         raise NotApplicableError("no servos hold the legs")
-    data = start(robot)
-    data.ctrl[:] = robot.stance.ctrl
-    if not data.ctrl.any():
-        hold_position(model, data)
-    steps, late = (
-        max(1, round(time_s / model.opt.timestep)) for time_s in (HOLD_S, LATE_S)
-    )
-    ground_m, up = floor_m(robot), np.asarray(robot.up)
-    first_m = data.subtree_com[standing.body] @ up - ground_m
-    forces = np.zeros(model.nv)
-    for step in range(steps):
-        mujoco.mj_step(model, data)
-        if data.warning[mujoco.mjtWarning.mjWARN_BADQACC].number:
-            raise NotMeasuredError(
-                f"the state diverges at {(step + 1) * model.opt.timestep:.3g} s"
-            )
-        if step >= steps - late:
-            forces += np.abs(data.qfrc_actuator) / late
-    last_m = data.subtree_com[standing.body] @ up - ground_m
-    return float(last_m / max(first_m, 1e-6)), forces
+    run = settled(robot)
+    heights_m = run.heights_m[:, model.body_treeid[standing.body]] - floor_m(robot)
+    return float(heights_m[-1] / max(heights_m[0], 1e-6)), run.forces
 
 
 @model_check(

@@ -85,12 +85,6 @@ def _brakes(drive: Drive) -> Iterator[Case]:
 
 # --- servos ----------------------------------------------------------------------------------------------------------
 
-MIN_ERROR_RAD = 0.005
-"""Smallest error at which a servo may saturate [rad].
-
-Models of makers have 6 mrad and more; gears and encoders of hobby servos have a play of 2 to 15 mrad.
-"""
-
 RINGING, RINGING_S = 0.05, 1.0
 """Damping ratio and decay time of a servo that rings: at 0.05 a step overshoots by 85 %; makers have 0.089."""
 
@@ -112,7 +106,7 @@ GROWTH, GROWTH_STEPS, MAX_RATIO = 3.0, 200, 1.05
     title="response of a servo, over the limit of a drive",
     interval=(0.0, 1.0),
     source="a slow motion without gravity and contact never grows; closed forms of a loop of second order for ringing, "
-    "lag and sag; the error at which a servo saturates",
+    "lag and sag",
     consequence="The joint does not do what the policy commands.",
     is_simulated=True,
 )
@@ -125,21 +119,7 @@ def servo_response(robot: Robot) -> Finding:
     braked = joint_brakes.finding(robot).parts if driven else {}
     driven = [drive for drive in driven if braked.get(drive.name, 0.0) <= 1.0]
     responses = (case for drive in driven for case in _response(drive))
-    return worst_case([*_modes(robot, driven), *_switches(driven), *responses])
-
-
-def _switches(driven: list[Drive]) -> Iterator[Case]:
-    """Yield servos that saturate at a tiny error, where at least half of all servos do.
-
-    A stiff gripper with a limited force is right: it grips with this force.
-    """
-    hinges = [drive for drive in driven if drive.is_hinge and np.isfinite(drive.limit)]
-    errors = [drive.limit / drive.kp for drive in hinges]
-    if not errors or np.median(errors) >= MIN_ERROR_RAD:
-        return
-    for drive, error in zip(hinges, errors, strict=True):
-        text = f"{drive.name} works like a switch: with kp {drive.kp:.4g}, {1e3 * error:.2g} mrad cause all of its "
-        yield drive.case(MIN_ERROR_RAD / error, f"{text}{drive.limit:.3g} N m", True)
+    return worst_case([*_modes(robot, driven), *responses])
 
 
 def _modes(robot: Robot, driven: list[Drive]) -> Iterator[Case]:

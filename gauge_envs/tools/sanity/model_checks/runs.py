@@ -1,7 +1,7 @@
 """Runs of the target's own model: at rest from its start, and the same with a tenth of the step and a finer solver.
 
-The start is the keyframe `home` or the first one, else the model's initial pose. Actuators are at rest: they get the
-controls of the keyframe, else position servos the command that holds the start, and all others 0.
+The start is the keyframe in which the robot stands or the first one, else the model's initial pose. Actuators are at
+rest: they get the controls of the keyframe, else position servos the command that holds the start, and all others 0.
 """
 
 from __future__ import annotations
@@ -11,9 +11,15 @@ import copy
 import mujoco
 import numpy as np
 
-from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene import Vector
+from gauge_envs.scene.geometry import FloatArray, IntArray
 from gauge_envs.tools.sanity.model_checks.drives import hold_position
-from gauge_envs.tools.sanity.robot.robot import Robot, disable_bit, once
+from gauge_envs.tools.sanity.robot.robot import (
+    Robot,
+    disable_bit,
+    once,
+    standing_key,
+)
 from gauge_envs.tools.sanity.verdict import NotApplicableError
 
 REST_S = 2.0
@@ -38,6 +44,12 @@ A semi-implicit step h holds a swing of angular frequency w up to h w = 2. Sever
 stiffness over an impedance below 1, so that w is a few times as high.
 """
 
+STILL_M_PER_S = 1e-3
+"""Speed of a body at rest [m/s]."""
+
+ON_PLANE = 1
+"""Contact of a tree of bodies with fixed planes alone."""
+
 SLEEP = int(mujoco.mjtEnableBit.mjENBL_SLEEP)
 
 STATE = mujoco.mjtState.mjSTATE_INTEGRATION
@@ -52,6 +64,11 @@ class Run:
         data: The state at the end.
         points_m: Three points of each body, at its radius of gyration, in each sample [m], shape
             [sample_count, nbody, 3, 3].
+        heights_m: Height of the centre of mass of each tree of bodies at the start and in each sample [m], shape
+            [1 + sample_count, ntree].
+        touching: Whether each tree touches nothing, fixed planes alone (`ON_PLANE`), or more, shape as `heights_m`. A
+            tree without a speed upwards starts as on a plane: in the air it falls.
+        forces: Mean force of the actuators in the last quarter [N m or N], shape [nv].
         late_state: State at the start of the last quarter, of MuJoCo's kind `mjSTATE_INTEGRATION`.
         sample_s: Time between samples [s].
         diverged_s: Time at which the state diverged [s]; infinite when it did not.
@@ -60,19 +77,29 @@ class Run:
     def __init__(
         self,
         model: mujoco.MjModel,
+        up: Vector,
         sample_s: float,
         state: FloatArray | None = None,
         samples: int = SAMPLES,
     ) -> None:
         """Run a model from its start, or some samples from a state."""
         self.model, self.data = model, start_data(model)
-        data = self.data
+        data, roots = self.data, model.tree_bodyadr
         if state is not None:
             mujoco.mj_setState(model, data, state, STATE)
             data.time = 0.0
+        mujoco.mj_subtreeVel(model, data)
         self.points_m = np.full((samples, model.nbody, 3, 3), np.nan)
+        self.heights_m = np.zeros((1 + samples, model.ntree))
+        self.touching = np.zeros(self.heights_m.shape, dtype=np.int64)
+        self.heights_m[0] = data.subtree_com[roots] @ up
+        self.touching[0] = np.abs(data.subtree_linvel[roots] @ up) < STILL_M_PER_S
         self.late_state = np.zeros(mujoco.mj_stateSize(model, STATE))
-        self.sample_s, self.diverged_s = sample_s, np.inf
+        self.sample_s, self.diverged_s, self.forces = (
+            sample_s,
+            np.inf,
+            np.zeros(model.nv),
+        )
         squares = model.body_inertia.max(axis=1) / np.maximum(model.body_mass, 1e-12)
         radii_m = np.sqrt(squares)[:, None, None]
         for sample in range(samples):
@@ -84,14 +111,32 @@ class Run:
                     return
             axes = data.ximat.reshape(-1, 3, 3).transpose(0, 2, 1)
             self.points_m[sample] = data.xipos[:, None] + radii_m * axes
+            self.heights_m[1 + sample] = data.subtree_com[roots] @ up
+            self.touching[1 + sample] = _touching(model, data)
             if sample == samples - LATE:
                 mujoco.mj_getState(model, data, self.late_state, STATE)
+            if sample >= samples - LATE:
+                self.forces += np.abs(data.qfrc_actuator) / LATE
 
     @property
     def speeds_mm_per_s(self) -> FloatArray:
         """Root mean square of the speeds of the bodies in the last eighth [mm/s], shape [nbody]."""
         velocities = np.diff(self.points_m[-LATE // 2 :], axis=0) / self.sample_s
         return 1e3 * np.sqrt((velocities**2).sum(-1).mean((0, 2)))
+
+
+def _touching(model: mujoco.MjModel, data: mujoco.MjData) -> IntArray:
+    """Return for each tree of bodies 0, `ON_PLANE` where it touches fixed planes alone, or more, shape [ntree]."""
+    touching = np.zeros(model.ntree, dtype=np.int64)
+    geoms = np.asarray(data.contact.geom).reshape(-1, 2)
+    trees = model.body_treeid[model.geom_bodyid[geoms]]
+    is_plane = model.geom_type[geoms] == mujoco.mjtGeom.mjGEOM_PLANE
+    is_plane &= trees < 0
+    for side in (0, 1):
+        kinds = np.where(is_plane[:, 1 - side], ON_PLANE, ON_PLANE + 1)
+        moves = trees[:, side] >= 0
+        np.maximum.at(touching, trees[moves, side], kinds[moves])
+    return touching
 
 
 def seconds(model: mujoco.MjModel, maximum_s: float) -> float:
@@ -108,8 +153,7 @@ def start_data(model: mujoco.MjModel) -> mujoco.MjData:
     """Return the state from which a model starts, with its actuators at rest."""
     data = mujoco.MjData(model)
     if model.nkey:
-        home = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, "home")
-        mujoco.mj_resetDataKeyframe(model, data, max(home, 0))
+        mujoco.mj_resetDataKeyframe(model, data, standing_key(model))
     data.time = 0.0
     mujoco.mj_forward(model, data)
     if not data.ctrl.any():
@@ -162,7 +206,7 @@ def rest(robot: Robot, *, is_refined: bool) -> Run:
     if not robot.model.nv:
         raise NotApplicableError("the model has no joint")
     model = refined(robot.model) if is_refined else robot.model
-    return Run(model, seconds(robot.model, REST_S) / SAMPLES)
+    return Run(model, robot.up, seconds(robot.model, REST_S) / SAMPLES)
 
 
 def settled(robot: Robot, *, is_refined: bool = False) -> Run:

@@ -166,7 +166,6 @@ class ObjectCheck:
         value: Function that measures the number in a rollout of the scenario.
         failure: Function that returns a failure that no real trial shows, independent of the number; empty for none.
         needs: What a target must have in addition to gravity, and to contacts if the scene has some.
-        is_impact: Whether the number depends on a restitution that the target may not give.
         id: Stable name, which the list of checks gives.
     """
 
@@ -177,7 +176,6 @@ class ObjectCheck:
     value: Callable[[Recording], float]
     failure: Callable[[Recording], str] = lambda rollout: ""
     needs: tuple[Need, ...] = ()
-    is_impact: bool = False
     id: str = ""
 
     @property

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
 from gauge_envs.backends import Backend, backend
-from gauge_envs.errors import GaugeError
 from gauge_envs.fixtures.recording import (
     DivergedError,
     Recording,
@@ -49,27 +47,18 @@ CONTACT_PREFIXES = (
 """Prefixes of settings that have no effect where nothing can touch."""
 
 
-class TimeLimitError(GaugeError):
-    """The time of a check is used up, and another rollout would be needed."""
-
-
 class Measurements:
     """Runs checks on one engine, and caches rollouts by scenario and settings.
 
     Args:
         engine: A backend, or the name of an installed one.
-        time_limit_s: Time after which no rollout starts any more [s]; None for no limit.
 
     Attributes:
         engine: Name of the engine.
         versions: Versions of the engine's packages.
     """
 
-    def __init__(
-        self, engine: Backend | str, *, time_limit_s: float | None = None
-    ) -> None:
-        limit_s = math.inf if time_limit_s is None else time_limit_s
-        self._ends_s = time.monotonic() + limit_s
+    def __init__(self, engine: Backend | str) -> None:
         self._known: dict[tuple[object, str, str], Any] = {}
         self._backend = backend(engine) if isinstance(engine, str) else engine
         self.engine, self.versions = self._backend.name, self._backend.versions()
@@ -84,11 +73,7 @@ class Measurements:
     def rollout(
         self, scenario: Scenario, settings: Settings
     ) -> Recording | PartOutcome:
-        """Return the rollout of a scenario with settings, or an outcome that says why there is none.
-
-        Raises:
-            TimeLimitError: The time is used up, and a simulation would start.
-        """
+        """Return the rollout of a scenario with settings, or an outcome that says why there is none."""
         return self._once(run_scenario, scenario, settings)
 
     def effective(
@@ -111,8 +96,6 @@ class Measurements:
         ]
         key = function, scenario.name, str(relevant)
         if key not in self._known:
-            if function is run_scenario and time.monotonic() >= self._ends_s:
-                raise TimeLimitError("the time limit is reached")
             self._known[key] = self._called(function, scenario, settings)
         result: Result | PartOutcome = self._known[key]
         return result
@@ -177,21 +160,15 @@ class AppliedCheck:
         check: The check.
         sets: Settings by the geoms that touch with them; only sets that the check applies to.
         inapplicable: Why the check does not apply to the target; empty when it does.
-        advisory: Why the verdict does not count; empty when it does.
     """
 
     measurements: Measurements
     check: ObjectCheck
     sets: Sets
     inapplicable: str = ""
-    advisory: str = ""
 
     def outcomes(self) -> dict[str, PartOutcome]:
-        """Return the outcome with each set.
-
-        Raises:
-            TimeLimitError: The time is used up.
-        """
+        """Return the outcome with each set."""
         return {
             geoms: self.measurements.measure(self.check, settings)
             for geoms, settings in self.sets.items()
@@ -212,11 +189,7 @@ class AppliedCheck:
         )
 
     def result(self) -> SanityResult:
-        """Return the result of the worst set, with that of the preset where a set does not pass.
-
-        Raises:
-            TimeLimitError: The time is used up.
-        """
+        """Return the result of the worst set."""
         outcomes = self.outcomes()
         if not outcomes:
             return replace(self.unmeasured(self.inapplicable), applies=False)
@@ -230,21 +203,12 @@ class AppliedCheck:
                 replace(outcome, name=name) for name, outcome in outcomes.items()
             ),
         )
-        rollout = self.measurements.rollout(self.check.scenario, self.sets[geoms])
-        if not isinstance(rollout, PartOutcome):
-            # A rollout that diverges fails even where the check is advice.
-            result = replace(result, advisory=self.advisory)
-        verdicts = {outcome.verdict for outcome in outcomes.values()}
-        if verdicts == {SanityVerdict.PASSED}:
+        if worst.verdict is not SanityVerdict.NOT_MEASURED:
             return result
-        preset = self.measurements.measure(self.check, {})
         # A scene that the engine cannot simulate at all is not checked.
-        is_unknown = {worst.verdict, preset.verdict} == {SanityVerdict.NOT_MEASURED}
-        return replace(
-            result,
-            default=preset.value,
-            applies=not is_unknown,
-        )
+        preset = self.measurements.measure(self.check, {})
+        applies = preset.verdict is not SanityVerdict.NOT_MEASURED
+        return replace(result, applies=applies)
 
 
 def worst_of(outcomes: Mapping[str, PartOutcome]) -> tuple[str, PartOutcome]:
@@ -271,21 +235,24 @@ def applied_check(
             if need in configuration.inapplicable:
                 raise NotApplicableError(configuration.inapplicable[need])
         sets = _sets_of(configuration, check)
+        if Need.REBOUND in check.needs:
+            sets = _bouncing(measurements, own_check.scenario, sets)
     except NotApplicableError as error:
         return AppliedCheck(measurements, check, {}, inapplicable=str(error))
-    applied = AppliedCheck(measurements, own_check, sets)
-    if not check.is_impact:
-        return applied
-    if reason := configuration.inapplicable.get(Need.REBOUND):
-        return replace(applied, advisory=reason)
-    bouncing = {
-        geoms: settings
-        for geoms, settings in sets.items()
-        if _has_rebound(measurements.effective(own_check.scenario, settings))
-    }
-    if bouncing:
-        return replace(applied, sets=bouncing)
-    return replace(applied, advisory=NO_IMPACT)
+    return AppliedCheck(measurements, own_check, sets)
+
+
+def _bouncing(measurements: Measurements, scenario: Scenario, sets: Sets) -> Sets:
+    """Return the sets of contact constants with an impact constant.
+
+    Raises:
+        NotApplicableError: There is none; the message is the reason.
+    """
+    effective = {name: measurements.effective(scenario, sets[name]) for name in sets}
+    bouncing = {name: sets[name] for name in sets if _has_rebound(effective[name])}
+    if not bouncing:
+        raise NotApplicableError(NO_IMPACT)
+    return bouncing
 
 
 def _sets_of(configuration: TrainingConfiguration, check: ObjectCheck) -> Sets:

@@ -13,6 +13,7 @@ from gauge_envs.tools.sanity.object_checks.check import (
     Scenario,
     facts,
 )
+from gauge_envs.tools.sanity.training import Need
 from gauge_envs.tools.sanity.verdict import Reality
 
 # --- rebound ---------------------------------------------------------------------------------------------------------
@@ -104,5 +105,5 @@ def rebound() -> ObjectCheck:
         ),
         lambda rollout: float(np.mean(_ratios(rollout))),
         _stuck,
-        is_impact=True,
+        needs=(Need.REBOUND,),
     )

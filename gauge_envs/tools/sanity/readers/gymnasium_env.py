@@ -55,7 +55,7 @@ def suite_file(name: str) -> Path:
     found = importlib.util.find_spec("dm_control")
     if found is None or not found.submodule_search_locations:
         raise TargetError(
-            f"{name}: dm_control is not installed: pip install dm-control"
+            f'{name}: dm_control is not installed: pip install "gauge-envs[dm]"'
         )
     folder = Path(found.submodule_search_locations[0]) / "suite"
     domain = name.removeprefix(SUITE).partition("-")[0]
@@ -156,7 +156,6 @@ def _suite_configuration(
         source="environment of this suite",
         backend=env.arguments.backend,
         settings=settings,
-        origins=dict.fromkeys(settings, f"settings of {name}"),
         inapplicable=inapplicable,
     )
 

@@ -20,7 +20,7 @@ from gauge_envs.backends.mujoco.contact_table import (
     default_contact_settings,
     effective_constants,
 )
-from gauge_envs.backends.mujoco.options import option_settings, overrides_contacts
+from gauge_envs.backends.mujoco.options import option_settings
 from gauge_envs.backends.mujoco.versions import sparse_advice
 from gauge_envs.errors import TargetError
 from gauge_envs.scene import Vector
@@ -62,14 +62,10 @@ def mujoco_configuration(
     options, pairs, up = option_settings(model), contact_pairs(model), _up(model)
     groups: tuple[ContactGroup, ...] = ()
     contact = default_contact_settings()
-    origin = "MuJoCo's defaults: nothing collides"
     if len(pairs.geoms) or pair is not None:
         used = _used_constants(model, pairs, pair)
         groups = _groups(model, pairs, used, all_on_ground=pair is None)
         contact = contact_settings(model, used)
-        origin = next(group.geoms for group in groups if group.is_used)
-    if overrides_contacts(model):
-        origin = "option, flag override"
     settings = options | contact
     check_settings("mujoco", settings)
     inapplicable = _inapplicable(model, groups)
@@ -95,11 +91,9 @@ def mujoco_configuration(
         source=source,
         backend="mujoco",
         settings=settings,
-        origins=dict.fromkeys(options, "option") | dict.fromkeys(contact, origin),
         contact_groups=groups,
         notes=tuple(filter(None, [sparse_advice(model)])),
         inapplicable=inapplicable,
-        gravity_m_per_s2=vector(model.opt.gravity),
         up=up,
         is_model=True,
         foot_geometry=foot,

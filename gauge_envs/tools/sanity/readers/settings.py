@@ -35,7 +35,7 @@ def check_settings(engine: str, settings: Settings) -> None:
 
 
 def _checked(
-    name: str, engine: str, settings: Settings, *, origin: str, source: str
+    name: str, engine: str, settings: Settings, source: str
 ) -> TrainingConfiguration:
     """Return a configuration after a trial of its settings.
 
@@ -43,7 +43,6 @@ def _checked(
         name: Name of the configuration.
         engine: Name of the backend.
         settings: Settings of the backend.
-        origin: Where the settings are from.
         source: Description of what was read.
 
     Raises:
@@ -53,9 +52,8 @@ def _checked(
         check_settings(engine, settings)
     except ParameterError as error:
         raise TargetError(f"{name}: {error}") from error
-    origins = dict.fromkeys(settings, origin)
     return TrainingConfiguration(
-        name=name, source=source, backend=engine, settings=settings, origins=origins
+        name=name, source=source, backend=engine, settings=settings
     )
 
 
@@ -76,9 +74,7 @@ def read_settings(path: Path, values: Any) -> TrainingConfiguration:
     if preset := values.get("preset"):
         settings = {**settings, "preset": preset}
     source = f"settings file {path}"
-    return _checked(
-        path.name, values["backend"], settings, origin=path.name, source=source
-    )
+    return _checked(path.name, values["backend"], settings, source)
 
 
 def read_backend(target: str) -> TrainingConfiguration | None:
@@ -88,4 +84,4 @@ def read_backend(target: str) -> TrainingConfiguration | None:
         return None
     settings = {"preset": preset} if preset else {}
     source = f"backend {name}, {f'preset {preset}' if preset else 'default settings'}"
-    return _checked(target, name, settings, origin=target, source=source)
+    return _checked(target, name, settings, source)

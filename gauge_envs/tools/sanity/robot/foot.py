@@ -33,9 +33,6 @@ class FootGeometry:
         geoms: Description of its solids, such as `bfoot (capsule)`.
         parts: Solids in a frame with z up, whose origin is the lowest point.
         load_kg: Mass that one foot carries [kg].
-        robot_mass_kg: Mass of the robot [kg].
-        foot_count: Number of feet on which the robot stands.
-        pose: Pose of the robot in which the foot was read, such as `keyframe home`.
         sets: Names of the sets of contact constants that the feet have on the ground.
         softening: Inverse weight of the foot's link in MuJoCo over that of the rigid body of four feet. MuJoCo softens
             contacts by it. None when unknown.
@@ -47,9 +44,6 @@ class FootGeometry:
     geoms: str
     parts: tuple[Part, ...]
     load_kg: float
-    robot_mass_kg: float
-    foot_count: int
-    pose: str = ""
     sets: tuple[str, ...] = ()
     softening: float | None = None
     friction: float | None = None
@@ -100,15 +94,6 @@ class FootGeometry:
         ).hexdigest()[:12]
 
     @property
-    def description(self) -> str:
-        """Text about the foot, its load and what stands for it."""
-        text = f"{self.geoms}, loaded by {self.load_kg:.3g} of {self.robot_mass_kg:.3g} kg; "
-        text += f"{COPIES} copies form a rigid body"
-        if self.softening is None:
-            return text
-        return f"{text}, with contacts {self.softening:.3g} times softer"
-
-    @property
     def _rotations(self) -> Rotation:
         return Rotation.from_euler("z", 90.0 * np.arange(COPIES)[:, None], degrees=True)
 
@@ -118,7 +103,5 @@ REFERENCE_FOOT = FootGeometry(
     geoms="a sphere of 20 mm",
     parts=(Part(shape=Sphere(radius_m=0.02), pose=Pose(position_m=(0.0, 0.0, 0.02))),),
     load_kg=3.0,
-    robot_mass_kg=12.0,
-    foot_count=4,
 )
 """Foot of a quadruped of 12 kg, for the list of checks without a target."""

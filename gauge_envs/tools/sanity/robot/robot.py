@@ -41,7 +41,6 @@ class Stance:
     """Pose of a model in which its robot stands.
 
     Attributes:
-        label: Name of the pose.
         qpos: Generalized position, shape [nq].
         ctrl: Controls that belong to the pose, shape [nu]; zeros without a keyframe.
         positions_m: Positions of the geoms in a frame with z up [m], shape [geom_count, 3].
@@ -49,7 +48,6 @@ class Stance:
         joint_axes: Axes of the joints in that frame, shape [joint_count, 3].
     """
 
-    label: str
     qpos: FloatArray
     ctrl: FloatArray
     positions_m: FloatArray
@@ -138,12 +136,9 @@ class Robot:
 
         Without a keyframe it is the initial pose with joints within their limits.
         """
-        model, data, label = self.model, mujoco.MjData(self.model), "initial pose"
+        model, data = self.model, mujoco.MjData(self.model)
         if model.nkey:
-            names = [model.key(index).name for index in range(model.nkey)]
-            known = next((name for name in STANDING if name in names), names[0])
-            mujoco.mj_resetDataKeyframe(model, data, names.index(known))
-            label = f"keyframe {known}".rstrip()
+            mujoco.mj_resetDataKeyframe(model, data, standing_key(model))
         is_clipped = (model.jnt_limited != 0) & joints_of(model, "HINGE", "SLIDE")
         places = model.jnt_qposadr[is_clipped]
         data.qpos[places] = np.clip(data.qpos[places], *model.jnt_range[is_clipped].T)
@@ -154,7 +149,6 @@ class Robot:
             )
         to_z_up = Rotation.align_vectors([[0.0, 0.0, 1.0]], [self.up])[0]
         return Stance(
-            label=label,
             qpos=data.qpos.copy(),
             ctrl=data.ctrl.copy(),
             positions_m=to_z_up.apply(data.geom_xpos),
@@ -217,6 +211,12 @@ class Robot:
         parallel = np.abs(axes @ normal)
         fits = np.where(is_hinge, parallel > 0.999, parallel < 1e-3)[is_part]
         return bool(fits.all() and np.abs(normal[:2]).max() > ALONG_AN_AXIS)
+
+
+def standing_key(model: mujoco.MjModel) -> int:
+    """Return the keyframe in which a robot stands, by its name, or the first one."""
+    names = [model.key(index).name for index in range(model.nkey)]
+    return next((names.index(name) for name in STANDING if name in names), 0)
 
 
 Result = TypeVar("Result")

@@ -134,10 +134,11 @@ def margin(robot: Robot) -> Iterator[Fault]:
         geom = int(pairs.geoms[row].max())
         name = geom_name(model, geom)
         text = f"{name} rests {1e3 * ahead_m[row]:.3g} mm above the ground: its margin has no gap"
-        right = "gap", model.geom_margin[geom]
-        yield Fault(
-            ("geom", geom), name, text, ahead_m[row] / MAX_MARGIN_M, change=right
-        )
+        wide = model.geom_margin > model.geom_gap
+        for wider in filter(wide.__getitem__, pairs.geoms[row].tolist()):
+            right, place = ("gap", model.geom_margin[wider]), ("geom", wider)
+            ratio = ahead_m[row] / MAX_MARGIN_M
+            yield Fault(("geom", geom), name, text, ratio, False, right, place)
 
 
 TORSION, ROLLING = 0.005, 0.0001
@@ -161,8 +162,9 @@ def rolling(robot: Robot) -> Iterator[Fault]:
     rolls &= ~np.isin(
         model.geom_bodyid, model.geom_bodyid[np.isin(model.geom_type, FLAT)]
     )
+    slides = moves & (stated[:, 0] > 0.0)
     ignored = {
-        "sliding": (0, moves & (stated[:, 0] != DEFAULT_FRICTION) & (condims == 1)),
+        "sliding": (0, slides & (stated[:, 0] != DEFAULT_FRICTION) & (condims == 1)),
         "rolling": (2, rolls & (stated[:, 2] > 2.0 * ROLLING) & (condims < 6)),
         "torsional": (1, moves & (stated[:, 1] > 10.0 * TORSION) & (condims < 4)),
     }
