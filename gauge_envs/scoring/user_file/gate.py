@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
+from types import MappingProxyType
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -12,6 +13,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from gauge_envs.references.band import Band
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
+from gauge_envs.scoring.interval import student_limit
 from gauge_envs.scoring.metrics import MAX_TIME_OFFSET_S, MIN_OVERLAP
 from gauge_envs.scoring.user_file.likely_mistakes import corrections
 from gauge_envs.scoring.user_file.motion_checks import (
@@ -46,6 +48,12 @@ MIN_RATIO, MIN_RATIO_OF_FEW = 8.0, 200.0
 The largest of the 81 is 5.5 times the median, and 6.9 times with a twentieth of the frames lost. The quartiles of few
 trials are uncertain."""
 
+OWN_PROBABILITY = 0.99998
+"""Probability with which a trial is nearer to its own material than the limit, on both sides."""
+
+MAX_LAW_SHARE = 0.5
+"""Largest distance from a solution with the published constants, over the root mean square of its displacement."""
+
 MAX_HELD_SHARE = 0.1
 """Largest share of trials with held values, so that holding them is a fault and not a rest without noise."""
 
@@ -68,6 +76,7 @@ def trial_faults(
     *,
     unit: str = "mm",
     law: Band | None = None,
+    others: Mapping[str, FloatArray] = MappingProxyType({}),
     may_repeat: bool = False,
 ) -> dict[str, Fault]:
     """Return the fault of each trial that has one, by its file or number.
@@ -76,7 +85,9 @@ def trial_faults(
         names: Names of the coordinates, as `cube.x`.
         trials: The trials at the 30 Hz frames by file or number, shape [T, C] each; NaN is not captured.
         unit: Unit of the coordinates.
-        law: Reference of the experiment in the coordinates of the trials; None without one.
+        law: Reference of the experiment in the coordinates of the trials; None without one. Fewer than `MIN_TRIALS`
+            trials are compared with it, more of them with each other.
+        others: Motions of the other materials by their experiment, shape [T, C] each.
         may_repeat: Whether trials may be equal, as the motion of a machine.
     """
     if not trials:
@@ -91,12 +102,14 @@ def trial_faults(
             fault = _copy(trial, motions)
         if fault is None and law is not None:
             fault = against_law(law, trial)
+            if fault is None and len(trials) < MIN_TRIALS:
+                fault = far_from_law(law, trial)
         if fault is None:
             motions[file] = trial
         else:
             faults[file] = fault
     if len(motions) >= MIN_TRIALS:
-        faults |= _far(names, motions, unit)
+        faults |= _far(names, motions, unit, others)
         faults |= _held(names, motions)
     return faults
 
@@ -137,33 +150,104 @@ def _copy(motion: FloatArray, others: Mapping[str, FloatArray]) -> Fault | None:
 
 
 def _far(
-    names: Sequence[str], trials: Mapping[str, FloatArray], unit: str
+    names: Sequence[str],
+    trials: Mapping[str, FloatArray],
+    unit: str,
+    others: Mapping[str, FloatArray],
 ) -> Iterator[tuple[str, Fault]]:
-    """Yield trials that are too far from the median trial, as recorded or after the best time shift."""
+    """Yield trials of another material, and trials that are too far from the median trial.
+
+    The distance is that of the trial as recorded, after the best time shift, and without a constant offset after that.
+    """
     owners, is_of = owners_of(names)
     motions = np.stack([*trials.values()])
-    recorded = _sizes(motions - _median(motions), is_of)
-    centre = _median(_aligned(motions, _median(motions)))
-    sizes = _sizes(_aligned(motions, centre) - centre, is_of)
-    ratios = np.zeros(len(motions))
-    for distances in (recorded, sizes):
-        root_mean_squares = np.sqrt(np.square(distances).mean(axis=1))
-        ratios = np.fmax(ratios, _ratios(root_mean_squares, unit, MAX_RMS_MM))
-        ratios = np.fmax(ratios, _ratios(distances.max(axis=1), unit, MAX_DISTANCE_MM))
-    for file, motion, ratio, size in zip(trials, motions, ratios, sizes, strict=True):
-        if ratio <= 1.0:
+    centre = median_motion(_aligned(motions, median_motion(motions)))
+    aligned = _aligned(motions, centre) - centre
+    moved = _without_offset(aligned)
+    faults = _of_others([*trials], centre, moved, others)
+    yield from faults.items()
+    kinds = [
+        _sizes(deviations, is_of)
+        for deviations in (motions - median_motion(motions), aligned, moved)
+    ]
+    ratios = np.array([_ratios(sizes, unit) for sizes in kinds])
+    for index, file in enumerate(trials):
+        kind = int(ratios[:, index].argmax())
+        if ratios[kind, index] <= 1.0 or file in faults:
             continue
+        size = kinds[kind][index]
         frame, owner = np.unravel_index(size.argmax(), size.shape)
         yield (
             file,
             Fault(
                 place_of(frame),
-                f"{owners[owner]} is {size[frame, owner]:.3g} {unit} from the median trial, {ratio:.2g} times what the "
-                "scatter of the trials allows",
-                _remedy(motion, centre),
+                f"{owners[owner]} is {size[frame, owner]:.3g} {unit} from the median trial, "
+                f"{ratios[kind, index]:.2g} times what the scatter of the trials allows",
+                _remedy(motions[index], centre),
                 is_far=True,
             ),
         )
+
+
+def _of_others(
+    files: Sequence[str],
+    centre: FloatArray,
+    moved: FloatArray,
+    others: Mapping[str, FloatArray],
+) -> dict[str, Fault]:
+    """Return the fault of each trial that is nearer to another material than the scatter of the trials allows.
+
+    A trial is a share s of the way from the median trial to the motion of the other material. The trials with s below
+    1/2 predict one more by Student's t.
+
+    Args:
+        files: Names of the trials.
+        centre: The median trial, shape [T, C].
+        moved: Deviations from it, aligned and without offset, shape [N, T, C].
+        others: Motions of the other materials by their experiment, shape [T, C] each.
+    """
+    faults: dict[str, Fault] = {}
+    for name, other in others.items():
+        way = _without_offset(_aligned(other[None], centre) - centre)
+        known = np.where(np.isfinite(moved), way, 0.0)
+        shares = np.nansum(moved * way, axis=(1, 2)) / np.nansum(
+            np.square(known), axis=(1, 2)
+        )
+        own = shares[shares < 0.5]
+        if len(own) < MIN_TRIALS:
+            continue
+        limit = own.mean() + student_limit(len(own), OWN_PROBABILITY) * own.std(ddof=1)
+        for index in np.flatnonzero(shares > max(limit, 0.5)):
+            problem = (
+                f"its motion is {100 * shares[index]:.0f} % of the way from the median trial to {name}, "
+                f"and the scatter of the trials allows {100 * limit:.0f} %"
+            )
+            remedy = f"is it a trial of {name}?"
+            faults[files[index]] = Fault("(file)", problem, remedy, is_far=True)
+    return faults
+
+
+def far_from_law(law: Band, trial: FloatArray) -> Fault | None:
+    """Return where a motion is too far from its reference up to the largest displacement; None if nowhere.
+
+    Args:
+        law: The reference.
+        trial: The motion in the coordinates of g(t), shape [T, D]; NaN is not captured.
+    """
+    real, motion = displacements(law.mean), displacements(law.project(trial))
+    sizes = np.linalg.norm(np.nan_to_num(real), axis=1)
+    # Later, oscillations of another period also move against each other.
+    real[int(np.argmax(sizes >= 0.95 * sizes.max())) + 1 :] = np.nan
+    limit = MAX_LAW_SHARE * rms_over_frames(real)
+    if law.trial_rmse_aligned is not None:
+        limit = MIN_RATIO * float(np.median(law.trial_rmse_aligned))
+    deviation = _without_offset(_aligned(motion[None], real) - real)[0]
+    distance = rms_over_frames(deviation)
+    if law.unit != "mm" or not distance > max(limit, MAX_RMS_MM):
+        return None
+    frame = int(np.nan_to_num(np.linalg.norm(deviation, axis=1)).argmax())
+    problem = f"it is {distance:.3g} mm from the reference, and at most {limit:.3g} mm is plausible"
+    return Fault(place_of(frame), problem, _remedy(motion, real), is_far=True)
 
 
 def _held(
@@ -192,16 +276,42 @@ def _sizes(deviations: FloatArray, is_of: FloatArray) -> FloatArray:
     return np.sqrt(np.nan_to_num(np.square(deviations)) @ is_of)
 
 
-def _ratios(sizes: FloatArray, unit: str, noise_mm: float) -> FloatArray:
-    """Return the largest size of each trial over the largest plausible one, for sizes of shape [N, owner_count]."""
-    largest = sizes.max(axis=1)
-    median, quarter = np.quantile(largest, (0.5, 0.75))
-    factor = MIN_RATIO + MIN_RATIO_OF_FEW / len(largest) ** 2
-    limit = max(factor * median, median + MAX_QUARTERS * (quarter - median))
-    return largest / (max(limit, noise_mm if unit == "mm" else 0.0) or math.inf)
+def _ratios(sizes: FloatArray, unit: str) -> FloatArray:
+    """Return the larger of the RMS and the maximum of each trial, over the largest plausible one, shape [N].
+
+    Args:
+        sizes: Distances of the bodies or markers, shape [N, T, owner_count].
+        unit: Unit of the distances.
+    """
+    root_mean_squares = np.sqrt(np.square(sizes).mean(axis=1))
+    ratios = []
+    for distances, noise_mm in (
+        (root_mean_squares, MAX_RMS_MM),
+        (sizes.max(axis=1), MAX_DISTANCE_MM),
+    ):
+        largest = distances.max(axis=1)
+        median, quarter = np.quantile(largest, (0.5, 0.75))
+        factor = MIN_RATIO + MIN_RATIO_OF_FEW / len(largest) ** 2
+        limit = max(factor * median, median + MAX_QUARTERS * (quarter - median))
+        limit = max(limit, noise_mm if unit == "mm" else 0.0) or math.inf
+        ratios.append(largest / limit)
+    return np.maximum(*ratios)
 
 
-def _median(motions: FloatArray) -> FloatArray:
+def displacements(motion: FloatArray) -> FloatArray:
+    """Return a motion relative to its first known position, shape [T, C]; NaN is unknown."""
+    first = np.isfinite(motion).argmax(axis=0)
+    return motion - np.take_along_axis(motion, first[None], axis=0)
+
+
+def _without_offset(deviations: FloatArray) -> FloatArray:
+    """Return deviations, shape [N, T, C], without the mean over the frames."""
+    with warnings.catch_warnings(action="ignore", category=RuntimeWarning):
+        return np.asarray(deviations - np.nanmean(deviations, axis=1, keepdims=True))
+
+
+def median_motion(motions: FloatArray) -> FloatArray:
+    """Return the median of trials of shape [N, T, C], shape [T, C]; NaN is unknown."""
     with warnings.catch_warnings(action="ignore", category=RuntimeWarning):
         return np.asarray(np.nanmedian(motions, axis=0))
 
