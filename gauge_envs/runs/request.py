@@ -88,5 +88,5 @@ class RunRequest(EnvArguments):
         try:
             return published.experiment()
         except ReferenceFileError:
-            sources = {"drivers": "bundled", "reference": "bundled"}
-            return replace(published, **sources).experiment()
+            published = replace(published, drivers="bundled", reference="bundled")
+            return published.experiment()

@@ -12,7 +12,7 @@ from swings import swung_rad
 from gauge_envs import load_experiment
 from gauge_envs.scoring.answers import Answer, mattering_distance, united, within
 from gauge_envs.scoring.reference import reference_band
-from gauge_envs.scoring.score import score_trajectory
+from gauge_envs.scoring.trajectory import score_trajectory
 
 GRAVITY = 9.80665
 EFFECTIVE_LENGTH_M = 0.269881

@@ -32,10 +32,13 @@ MIN_WHOLE_SHARE = 0.9
 MIN_TRIALS = 5
 """Smallest number of trials whose scatter is known."""
 
-MAX_RMS_MM, MAX_DISTANCE_MM = 3.0, 7.0
-"""Root mean square and largest distance of a point by noise of 1 mm in each coordinate [mm]; these are never too far.
+MAX_RMS, MAX_DISTANCE = 3.0, 7.0
+"""Root mean square and largest distance of a point by noise, over the noise of a coordinate; these are never too far.
 
-The root mean square is 1.7 mm with its scatter over eight frames; the distance is the largest of a million."""
+The root mean square is 1.7 with its scatter over eight frames; the distance is the largest of a million."""
+
+MIN_NOISE_MM, MAX_NOISE_MM = 0.1, 1.0
+"""Range of the noise of motion capture [mm]; the paper states 1 mm."""
 
 MAX_QUARTERS = 12.0
 """Largest distance beyond the median of the trials, over that of the upper quartile.
@@ -48,8 +51,14 @@ MIN_RATIO, MIN_RATIO_OF_FEW = 8.0, 200.0
 The largest of the 81 is 5.5 times the median, and 6.9 times with a twentieth of the frames lost. The quartiles of few
 trials are uncertain."""
 
-OWN_PROBABILITY = 0.99998
-"""Probability with which a trial is nearer to its own material than the limit, on both sides."""
+OWN_PROBABILITY = 0.999998
+"""Probability with which the size of the motion of a trial is plausible, if a single normal constant scatters."""
+
+MIN_SHARE = 0.1
+"""Smallest relative difference of the size of a motion from that of the median trial that is a fault."""
+
+QUARTILES_OF_NORMAL = 1.349
+"""Distance of the quartiles of a normal distribution, over its standard deviation."""
 
 MAX_LAW_SHARE = 0.5
 """Largest distance from a solution with the published constants, over the root mean square of its displacement."""
@@ -59,6 +68,9 @@ MAX_HELD_SHARE = 0.1
 
 MAX_LEFT = 0.3
 """Largest share of a distance that is left after a correction, so that the correction is the cause."""
+
+UNEXPLAINED = "is it of this material and task?"
+"""Remedy of a motion that no correction explains."""
 
 SAME_MM = 1e-3
 """Largest distance of a copy [mm], the digits of files; noise of motion capture alone is larger."""
@@ -155,38 +167,69 @@ def _far(
     unit: str,
     others: Mapping[str, FloatArray],
 ) -> Iterator[tuple[str, Fault]]:
-    """Yield trials of another material, and trials that are too far from the median trial.
+    """Yield trials that are too far from the median trial, have another size, or are of another material.
 
-    The distance is that of the trial as recorded, after the best time shift, and without a constant offset after that.
+    A deviation is that of the trial as recorded and after the best time shift, each also without a constant offset.
     """
     owners, is_of = owners_of(names)
     motions = np.stack([*trials.values()])
     centre = median_motion(_aligned(motions, median_motion(motions)))
-    aligned = _aligned(motions, centre) - centre
-    moved = _without_offset(aligned)
-    faults = _of_others([*trials], centre, moved, others)
-    yield from faults.items()
-    kinds = [
-        _sizes(deviations, is_of)
-        for deviations in (motions - median_motion(motions), aligned, moved)
-    ]
-    ratios = np.array([_ratios(sizes, unit) for sizes in kinds])
+    deviations = [motions - median_motion(motions), _aligned(motions, centre) - centre]
+    moved = [*map(_without_offset, deviations)]
+    sizes: dict[str, Fault] = {}
+    materials: dict[str, Fault] = {}
+    for free in moved:
+        sizes = dict(_of_another_size([*trials], centre, free)) | sizes
+        materials |= _of_others([*trials], centre, free, others)
+    noise = _noise_mm(motions) if unit == "mm" else np.zeros(len(motions))
+    distances = [_sizes(kind, is_of) for kind in (*deviations, *moved)]
+    ratios = np.array([_ratios(kind, noise) for kind in distances])
     for index, file in enumerate(trials):
-        kind = int(ratios[:, index].argmax())
-        if ratios[kind, index] <= 1.0 or file in faults:
+        largest = int(ratios[:, index].argmax())
+        ratio = ratios[largest, index]
+        if ratio <= 1.0 and file not in sizes and file not in materials:
             continue
-        size = kinds[kind][index]
-        frame, owner = np.unravel_index(size.argmax(), size.shape)
-        yield (
-            file,
-            Fault(
-                place_of(frame),
-                f"{owners[owner]} is {size[frame, owner]:.3g} {unit} from the median trial, "
-                f"{ratios[kind, index]:.2g} times what the scatter of the trials allows",
-                _remedy(motions[index], centre),
-                is_far=True,
-            ),
-        )
+        remedy = _remedy(motions[index], centre)
+        if file in materials and remedy == UNEXPLAINED:
+            yield file, materials[file]
+        elif ratio <= 1.0:
+            yield file, (materials | sizes)[file]._replace(remedy=remedy)
+        else:
+            distance = distances[largest][index]
+            frame, owner = np.unravel_index(distance.argmax(), distance.shape)
+            problem = (
+                f"{owners[owner]} is {distance[frame, owner]:.3g} {unit} from the median trial, "
+                f"{ratio:.2g} times what the scatter of the trials allows"
+            )
+            yield file, Fault(place_of(int(frame)), problem, remedy, is_far=True)
+
+
+def _of_another_size(
+    files: Sequence[str], centre: FloatArray, moved: FloatArray
+) -> Iterator[tuple[str, Fault]]:
+    """Yield trials whose motion, or its part along an axis, is larger or smaller than the scatter of the trials allows.
+
+    Args:
+        files: Names of the trials.
+        centre: The median trial, shape [T, C].
+        moved: Deviations from it without offset, shape [N, T, C].
+    """
+    motion = _without_offset(centre[None])
+    parts = {"its motion": np.ones(motion.shape[2])}
+    if motion.shape[2] % 3 == 0:
+        along = np.eye(3)[:, np.arange(motion.shape[2]) % 3]
+        parts |= {
+            f"its motion along {axis}": part
+            for axis, part in zip("xyz", along, strict=True)
+        }
+    for name, part in parts.items():
+        shares, limit = _shares(moved, motion * part)
+        for index in np.flatnonzero(np.abs(shares) > max(limit, MIN_SHARE)):
+            problem = (
+                f"{name} is {1.0 + shares[index]:.2g} times that of the median trial, "
+                f"and the scatter of the trials allows 1 +- {limit:.2g}"
+            )
+            yield files[index], Fault("(file)", problem, UNEXPLAINED, is_far=True)
 
 
 def _of_others(
@@ -194,37 +237,44 @@ def _of_others(
     centre: FloatArray,
     moved: FloatArray,
     others: Mapping[str, FloatArray],
-) -> dict[str, Fault]:
-    """Return the fault of each trial that is nearer to another material than the scatter of the trials allows.
-
-    A trial is a share s of the way from the median trial to the motion of the other material. The trials with s below
-    1/2 predict one more by Student's t.
+) -> Iterator[tuple[str, Fault]]:
+    """Yield trials that are nearer to the motion of another material than the scatter allows.
 
     Args:
         files: Names of the trials.
         centre: The median trial, shape [T, C].
-        moved: Deviations from it, aligned and without offset, shape [N, T, C].
+        moved: Deviations from it without offset, shape [N, T, C].
         others: Motions of the other materials by their experiment, shape [T, C] each.
     """
-    faults: dict[str, Fault] = {}
-    for name, other in others.items():
-        way = _without_offset(_aligned(other[None], centre) - centre)
-        known = np.where(np.isfinite(moved), way, 0.0)
-        shares = np.nansum(moved * way, axis=(1, 2)) / np.nansum(
-            np.square(known), axis=(1, 2)
-        )
-        own = shares[shares < 0.5]
-        if len(own) < MIN_TRIALS:
+    for name, motion in others.items():
+        if motion.shape[1] != centre.shape[1]:
             continue
-        limit = own.mean() + student_limit(len(own), OWN_PROBABILITY) * own.std(ddof=1)
+        # Materials may have another number of frames.
+        other = np.full_like(centre, np.nan)
+        other[: len(motion)] = motion[: len(other)]
+        way = _without_offset(_aligned(other[None], centre) - centre)
+        shares, limit = _shares(moved, way)
         for index in np.flatnonzero(shares > max(limit, 0.5)):
             problem = (
                 f"its motion is {100 * shares[index]:.0f} % of the way from the median trial to {name}, "
                 f"and the scatter of the trials allows {100 * limit:.0f} %"
             )
             remedy = f"is it a trial of {name}?"
-            faults[files[index]] = Fault("(file)", problem, remedy, is_far=True)
-    return faults
+            yield files[index], Fault("(file)", problem, remedy, is_far=True)
+
+
+def _shares(moved: FloatArray, way: FloatArray) -> tuple[FloatArray, float]:
+    """Return each deviation, shape [N, T, C], along a way, over the way, and the largest plausible one by Student's t.
+
+    The quartiles of the trials give their standard deviation, so that a few trials of another material do not.
+    """
+    known = np.where(np.isfinite(moved), way, np.nan)
+    shares = np.nansum(moved * way, axis=(1, 2)) / np.maximum(
+        np.nansum(np.square(known), axis=(1, 2)), 1e-12
+    )
+    low, median, high = np.quantile(shares, (0.25, 0.5, 0.75))
+    scatter = (high - low) / QUARTILES_OF_NORMAL
+    return shares, abs(median) + student_limit(len(shares), OWN_PROBABILITY) * scatter
 
 
 def far_from_law(law: Band, trial: FloatArray) -> Fault | None:
@@ -243,7 +293,7 @@ def far_from_law(law: Band, trial: FloatArray) -> Fault | None:
         limit = MIN_RATIO * float(np.median(law.trial_rmse_aligned))
     deviation = _without_offset(_aligned(motion[None], real) - real)[0]
     distance = rms_over_frames(deviation)
-    if law.unit != "mm" or not distance > max(limit, MAX_RMS_MM):
+    if law.unit != "mm" or not distance > max(limit, MAX_RMS * MAX_NOISE_MM):
         return None
     frame = int(np.nan_to_num(np.linalg.norm(deviation, axis=1)).argmax())
     problem = f"it is {distance:.3g} mm from the reference, and at most {limit:.3g} mm is plausible"
@@ -276,26 +326,34 @@ def _sizes(deviations: FloatArray, is_of: FloatArray) -> FloatArray:
     return np.sqrt(np.nan_to_num(np.square(deviations)) @ is_of)
 
 
-def _ratios(sizes: FloatArray, unit: str) -> FloatArray:
+def _ratios(sizes: FloatArray, noise: FloatArray) -> FloatArray:
     """Return the larger of the RMS and the maximum of each trial, over the largest plausible one, shape [N].
 
     Args:
         sizes: Distances of the bodies or markers, shape [N, T, owner_count].
-        unit: Unit of the distances.
+        noise: Noise of each trial, shape [N].
     """
-    root_mean_squares = np.sqrt(np.square(sizes).mean(axis=1))
-    ratios = []
-    for distances, noise_mm in (
-        (root_mean_squares, MAX_RMS_MM),
-        (sizes.max(axis=1), MAX_DISTANCE_MM),
+    ratios = np.zeros(len(sizes))
+    for distances, factor in (
+        (np.sqrt(np.square(sizes).mean(axis=1)), MAX_RMS),
+        (sizes.max(axis=1), MAX_DISTANCE),
     ):
         largest = distances.max(axis=1)
         median, quarter = np.quantile(largest, (0.5, 0.75))
-        factor = MIN_RATIO + MIN_RATIO_OF_FEW / len(largest) ** 2
-        limit = max(factor * median, median + MAX_QUARTERS * (quarter - median))
-        limit = max(limit, noise_mm if unit == "mm" else 0.0) or math.inf
-        ratios.append(largest / limit)
-    return np.maximum(*ratios)
+        plausible = (MIN_RATIO + MIN_RATIO_OF_FEW / len(largest) ** 2) * median
+        plausible = max(plausible, median + MAX_QUARTERS * (quarter - median))
+        limits = np.maximum(plausible, factor * noise)
+        limits[limits == 0.0] = math.inf
+        ratios = np.fmax(ratios, largest / limits)
+    return ratios
+
+
+def _noise_mm(motions: FloatArray) -> FloatArray:
+    """Return the noise of a coordinate in each trial [mm], from the third differences, of variance 20."""
+    differences = np.abs(np.diff(motions, 3, axis=1)).reshape(len(motions), -1)
+    with warnings.catch_warnings(action="ignore", category=RuntimeWarning):
+        noise_mm = np.nanmedian(differences, axis=1) / (0.6745 * math.sqrt(20.0))
+    return np.clip(np.nan_to_num(noise_mm), MIN_NOISE_MM, MAX_NOISE_MM)
 
 
 def displacements(motion: FloatArray) -> FloatArray:
@@ -339,7 +397,7 @@ def _remedy(motion: FloatArray, centre: FloatArray) -> str:
     best = int(np.argmin(sizes))
     if sizes[best] < MAX_LEFT * _nearest(motion, centre):
         return corrected[best][0]
-    return "is it of this material and task?"
+    return UNEXPLAINED
 
 
 def _nearest(motion: FloatArray, centre: FloatArray) -> float:

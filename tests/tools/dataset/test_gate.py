@@ -27,7 +27,7 @@ from imports import band_of, imported
 from gauge_envs import load_experiment
 from gauge_envs.references.band import load_band
 from gauge_envs.references.imported import load_imported
-from gauge_envs.scoring.score import score_trajectory
+from gauge_envs.scoring.trajectory import score_trajectory
 from gauge_envs.scoring.user_file.gate import band_fault
 from gauge_envs.tools.dataset import importer
 
