@@ -51,14 +51,14 @@ MIN_RATIO, MIN_RATIO_OF_FEW = 8.0, 200.0
 The largest of the 81 is 5.5 times the median, and 6.9 times with a twentieth of the frames lost. The quartiles of few
 trials are uncertain."""
 
-OWN_PROBABILITY = 0.999998
+OWN_PROBABILITY = 0.99998
 """Probability with which the size of the motion of a trial is plausible, if a single normal constant scatters."""
 
 MIN_SHARE = 0.1
 """Smallest relative difference of the size of a motion from that of the median trial that is a fault."""
 
-QUARTILES_OF_NORMAL = 1.349
-"""Distance of the quartiles of a normal distribution, over its standard deviation."""
+OWN_SHARE, OWN_SCATTER = 0.9, 0.79
+"""Share of the trials, the nearest ones, that gives the scatter, and their deviation over that of a normal constant."""
 
 MAX_LAW_SHARE = 0.5
 """Largest distance from a solution with the published constants, over the root mean square of its displacement."""
@@ -176,11 +176,8 @@ def _far(
     centre = median_motion(_aligned(motions, median_motion(motions)))
     deviations = [motions - median_motion(motions), _aligned(motions, centre) - centre]
     moved = [*map(_without_offset, deviations)]
-    sizes: dict[str, Fault] = {}
-    materials: dict[str, Fault] = {}
-    for free in moved:
-        sizes = dict(_of_another_size([*trials], centre, free)) | sizes
-        materials |= _of_others([*trials], centre, free, others)
+    sizes = dict(_of_another_size([*trials], centre, moved))
+    materials = dict(_of_others([*trials], centre, moved, others))
     noise = _noise_mm(motions) if unit == "mm" else np.zeros(len(motions))
     distances = [_sizes(kind, is_of) for kind in (*deviations, *moved)]
     ratios = np.array([_ratios(kind, noise) for kind in distances])
@@ -205,25 +202,22 @@ def _far(
 
 
 def _of_another_size(
-    files: Sequence[str], centre: FloatArray, moved: FloatArray
+    files: Sequence[str], centre: FloatArray, moved: Sequence[FloatArray]
 ) -> Iterator[tuple[str, Fault]]:
     """Yield trials whose motion, or its part along an axis, is larger or smaller than the scatter of the trials allows.
 
     Args:
         files: Names of the trials.
         centre: The median trial, shape [T, C].
-        moved: Deviations from it without offset, shape [N, T, C].
+        moved: Deviations from it, as recorded and aligned, without offset, shape [N, T, C] each.
     """
     motion = _without_offset(centre[None])
-    parts = {"its motion": np.ones(motion.shape[2])}
-    if motion.shape[2] % 3 == 0:
-        along = np.eye(3)[:, np.arange(motion.shape[2]) % 3]
-        parts |= {
-            f"its motion along {axis}": part
-            for axis, part in zip("xyz", along, strict=True)
-        }
+    axes = np.arange(motion.shape[2]) % 3
+    parts = {"its motion": np.ones(axes.shape)}
+    if len(axes) % 3 == 0:
+        parts |= {f"its motion along {'xyz'[axis]}": axes == axis for axis in range(3)}
     for name, part in parts.items():
-        shares, limit = _shares(moved, motion * part)
+        shares, limit = _shares(moved, [motion * part] * 2)
         for index in np.flatnonzero(np.abs(shares) > max(limit, MIN_SHARE)):
             problem = (
                 f"{name} is {1.0 + shares[index]:.2g} times that of the median trial, "
@@ -235,15 +229,15 @@ def _of_another_size(
 def _of_others(
     files: Sequence[str],
     centre: FloatArray,
-    moved: FloatArray,
+    moved: Sequence[FloatArray],
     others: Mapping[str, FloatArray],
 ) -> Iterator[tuple[str, Fault]]:
-    """Yield trials that are nearer to the motion of another material than the scatter allows.
+    """Yield trials that are nearer to the motion of another material than the scatter of the trials allows.
 
     Args:
         files: Names of the trials.
         centre: The median trial, shape [T, C].
-        moved: Deviations from it without offset, shape [N, T, C].
+        moved: Deviations from it, as recorded and aligned, without offset, shape [N, T, C] each.
         others: Motions of the other materials by their experiment, shape [T, C] each.
     """
     for name, motion in others.items():
@@ -252,8 +246,8 @@ def _of_others(
         # Materials may have another number of frames.
         other = np.full_like(centre, np.nan)
         other[: len(motion)] = motion[: len(other)]
-        way = _without_offset(_aligned(other[None], centre) - centre)
-        shares, limit = _shares(moved, way)
+        ways = [other[None] - centre, _aligned(other[None], centre) - centre]
+        shares, limit = _shares(moved, [*map(_without_offset, ways)])
         for index in np.flatnonzero(shares > max(limit, 0.5)):
             problem = (
                 f"its motion is {100 * shares[index]:.0f} % of the way from the median trial to {name}, "
@@ -263,18 +257,29 @@ def _of_others(
             yield files[index], Fault("(file)", problem, remedy, is_far=True)
 
 
-def _shares(moved: FloatArray, way: FloatArray) -> tuple[FloatArray, float]:
-    """Return each deviation, shape [N, T, C], along a way, over the way, and the largest plausible one by Student's t.
+def _shares(
+    moved: Sequence[FloatArray], ways: Sequence[FloatArray]
+) -> tuple[FloatArray, float]:
+    """Return the deviations along a way, over the way, and the largest plausible one; of two kinds, the less scattered.
 
-    The quartiles of the trials give their standard deviation, so that a few trials of another material do not.
+    Student's t with the standard deviation of nine tenths of the trials gives the limit, so that a few trials of
+    another material do not widen it.
+
+    Args:
+        moved: Deviations, shape [N, T, C] each.
+        ways: A way for each, shape [1, T, C].
     """
-    known = np.where(np.isfinite(moved), way, np.nan)
-    shares = np.nansum(moved * way, axis=(1, 2)) / np.maximum(
-        np.nansum(np.square(known), axis=(1, 2)), 1e-12
-    )
-    low, median, high = np.quantile(shares, (0.25, 0.5, 0.75))
-    scatter = (high - low) / QUARTILES_OF_NORMAL
-    return shares, abs(median) + student_limit(len(shares), OWN_PROBABILITY) * scatter
+    kinds = []
+    for deviations, way in zip(moved, ways, strict=True):
+        known = np.where(np.isfinite(deviations), way, np.nan)
+        squares = np.nansum(np.square(known), axis=(1, 2))
+        shares = np.nansum(deviations * way, axis=(1, 2)) / np.maximum(squares, 1e-12)
+        shares -= np.median(shares)
+        own = np.sort(np.abs(shares))[: int(OWN_SHARE * len(shares))]
+        scatter = math.sqrt(float(np.square(own).sum()) / (len(own) - 1)) / OWN_SCATTER
+        kinds.append((student_limit(len(own), OWN_PROBABILITY) * scatter, shares))
+    limit, shares = min(kinds, key=lambda kind: kind[0])
+    return shares, limit
 
 
 def far_from_law(law: Band, trial: FloatArray) -> Fault | None:
