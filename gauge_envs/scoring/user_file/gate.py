@@ -218,7 +218,7 @@ def _of_another_size(
         parts |= {f"its motion along {'xyz'[axis]}": axes == axis for axis in range(3)}
     for name, part in parts.items():
         shares, limit = _shares(moved, [motion * part] * 2)
-        for index in np.flatnonzero(np.abs(shares) > max(limit, MIN_SHARE)):
+        for index in np.flatnonzero(np.abs(shares) > max(limit, MIN_SHARE)).tolist():
             problem = (
                 f"{name} is {1.0 + shares[index]:.2g} times that of the median trial, "
                 f"and the scatter of the trials allows 1 +- {limit:.2g}"
@@ -248,7 +248,7 @@ def _of_others(
         other[: len(motion)] = motion[: len(other)]
         ways = [other[None] - centre, _aligned(other[None], centre) - centre]
         shares, limit = _shares(moved, [*map(_without_offset, ways)])
-        for index in np.flatnonzero(shares > max(limit, 0.5)):
+        for index in np.flatnonzero(shares > max(limit, 0.5)).tolist():
             problem = (
                 f"its motion is {100 * shares[index]:.0f} % of the way from the median trial to {name}, "
                 f"and the scatter of the trials allows {100 * limit:.0f} %"
