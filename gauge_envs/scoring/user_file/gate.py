@@ -54,6 +54,9 @@ trials are uncertain."""
 OWN_PROBABILITY = 0.99998
 """Probability with which the size of the motion of a trial is plausible, if a single normal constant scatters."""
 
+MIN_MOTION = 5.0
+"""Smallest displacement whose size is compared, over the noise of a coordinate."""
+
 MIN_SHARE = 0.1
 """Smallest relative difference of the size of a motion from that of the median trial that is a fault."""
 
@@ -176,9 +179,10 @@ def _far(
     centre = median_motion(_aligned(motions, median_motion(motions)))
     deviations = [motions - median_motion(motions), _aligned(motions, centre) - centre]
     moved = [*map(_without_offset, deviations)]
-    sizes = dict(_of_another_size([*trials], centre, moved))
-    materials = dict(_of_others([*trials], centre, moved, others))
     noise = _noise_mm(motions) if unit == "mm" else np.zeros(len(motions))
+    least = MIN_MOTION * float(np.median(noise))
+    sizes = dict(_of_another_size([*trials], centre, moved, least))
+    materials = dict(_of_others([*trials], centre, moved, others, least))
     distances = [_sizes(kind, is_of) for kind in (*deviations, *moved)]
     ratios = np.array([_ratios(kind, noise) for kind in distances])
     for index, file in enumerate(trials):
@@ -202,7 +206,10 @@ def _far(
 
 
 def _of_another_size(
-    files: Sequence[str], centre: FloatArray, moved: Sequence[FloatArray]
+    files: Sequence[str],
+    centre: FloatArray,
+    moved: Sequence[FloatArray],
+    least: float,
 ) -> Iterator[tuple[str, Fault]]:
     """Yield trials whose motion, or its part along an axis, is larger or smaller than the scatter of the trials allows.
 
@@ -210,6 +217,7 @@ def _of_another_size(
         files: Names of the trials.
         centre: The median trial, shape [T, C].
         moved: Deviations from it, as recorded and aligned, without offset, shape [N, T, C] each.
+        least: Smallest displacement that is no noise.
     """
     motion = _without_offset(centre[None])
     axes = np.arange(motion.shape[2]) % 3
@@ -217,6 +225,8 @@ def _of_another_size(
     if len(axes) % 3 == 0:
         parts |= {f"its motion along {'xyz'[axis]}": axes == axis for axis in range(3)}
     for name, part in parts.items():
+        if not np.nanmax(np.abs(motion * part)) > least:
+            continue
         shares, limit = _shares(moved, [motion * part] * 2)
         for index in np.flatnonzero(np.abs(shares) > max(limit, MIN_SHARE)).tolist():
             problem = (
@@ -231,6 +241,7 @@ def _of_others(
     centre: FloatArray,
     moved: Sequence[FloatArray],
     others: Mapping[str, FloatArray],
+    least: float,
 ) -> Iterator[tuple[str, Fault]]:
     """Yield trials that are nearer to the motion of another material than the scatter of the trials allows.
 
@@ -239,6 +250,7 @@ def _of_others(
         centre: The median trial, shape [T, C].
         moved: Deviations from it, as recorded and aligned, without offset, shape [N, T, C] each.
         others: Motions of the other materials by their experiment, shape [T, C] each.
+        least: Smallest difference of the materials that is no noise.
     """
     for name, motion in others.items():
         if motion.shape[1] != centre.shape[1]:
@@ -247,6 +259,8 @@ def _of_others(
         other = np.full_like(centre, np.nan)
         other[: len(motion)] = motion[: len(other)]
         ways = [other[None] - centre, _aligned(other[None], centre) - centre]
+        if not np.nanmax(np.abs(ways[1])) > least:
+            continue
         shares, limit = _shares(moved, [*map(_without_offset, ways)])
         for index in np.flatnonzero(shares > max(limit, 0.5)).tolist():
             problem = (
