@@ -44,10 +44,8 @@ if TYPE_CHECKING:
     from gauge_envs.experiments.task_reader import load_task as load_task
     from gauge_envs.scene.jitter import Jitter as Jitter
     from gauge_envs.scoring.reference import reference_band as reference_band
-    from gauge_envs.scoring.score import (
-        Score as Score,
-        score_trajectory as score_trajectory,
-    )
+    from gauge_envs.scoring.score import Score as Score
+    from gauge_envs.scoring.trajectory import score_trajectory as score_trajectory
 else:
     __getattr__, _LAZY = lazy_names(
         __name__,
@@ -60,7 +58,8 @@ else:
             ".experiments.task_reader": ["load_task"],
             ".scene.jitter": ["Jitter"],
             ".scoring.reference": ["reference_band"],
-            ".scoring.score": ["Score", "score_trajectory"],
+            ".scoring.score": ["Score"],
+            ".scoring.trajectory": ["score_trajectory"],
         },
     )
     __all__ = sorted(

@@ -47,7 +47,7 @@ FABRICS = {"rayon": "cotton", "uniform": "suit"}
 FRAMES_AFTER = 5
 """Number of frames after the published ones; the importer must cut them off."""
 
-AMOUNTS = (-1.5, -0.5, 0.75, 1.25)
+AMOUNTS = (-1.5, -1.0, 0.5, 0.75, 1.25)
 """Deviations of trials from their mean; their sum is 0."""
 
 

@@ -84,7 +84,8 @@ class WorldReferences:
         Raises:
             EpisodeError: The episode is not over.
         """
-        from gauge_envs.scoring.score import Score, score_trajectory
+        from gauge_envs.scoring.score import Score
+        from gauge_envs.scoring.trajectory import score_trajectory
 
         rollout = self._rollout
         experiment = rollout.experiment_of(world)

@@ -23,7 +23,6 @@ from gauge_envs.registry import package_versions
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result import Outcome, RecordedTrajectory, Result
 from gauge_envs.runs.result_file import result_of
-from gauge_envs.scoring.reference import reference_band
 from gauge_envs.scoring.score import Score
 
 _log = logging.getLogger(__name__)
@@ -185,13 +184,11 @@ def _without_run(
         seed: Seed of the episode.
         start: Standard deviations or trial of its initial state.
     """
-    band = reference_band(experiment)
-    kind = Kind.NONE if band is None else band.kind
     return result_of(
         experiment,
         outcome=Outcome.FAILED,
         parameters=json_ready(arguments.parameters) or "published",
-        score=Score(kind=kind.value, unit=experiment.score.observable.unit),
+        score=Score(kind=Kind.NONE.value, unit=experiment.score.observable.unit),
         backend=arguments.backend,
         settings_given=json_ready(arguments.settings or {}),
         seed=seed,

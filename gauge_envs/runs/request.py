@@ -7,7 +7,7 @@ from typing import Self
 import numpy as np
 
 from gauge_envs.envs.arguments import EnvArguments
-from gauge_envs.errors import ParameterError
+from gauge_envs.errors import ParameterError, ReferenceFileError
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.resolve import shots_of
 from gauge_envs.experiments.variants import find_variant
@@ -83,5 +83,10 @@ class RunRequest(EnvArguments):
         ]
 
     def published_experiment(self) -> Experiment:
-        """Load the experiment with published parameters; it exists even if the parameters are wrong."""
-        return replace(self, parameters="published").experiment()
+        """Load the experiment with published parameters; it exists even if the parameters or an import are wrong."""
+        published = replace(self, parameters="published")
+        try:
+            return published.experiment()
+        except ReferenceFileError:
+            published = replace(published, drivers="bundled", reference="bundled")
+            return published.experiment()

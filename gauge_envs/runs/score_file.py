@@ -21,7 +21,7 @@ from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.scoring.answers import Answer
 from gauge_envs.scoring.metrics import MAX_TIME_OFFSET_S, frame_index
 from gauge_envs.scoring.reference import reference_band
-from gauge_envs.scoring.score import score_trajectory
+from gauge_envs.scoring.trajectory import score_trajectory
 from gauge_envs.scoring.user_file.likely_mistakes import (
     START_TOLERANCE_MM,
     marker_mistake,

@@ -12,6 +12,7 @@ from gauge_envs.references.published import Baseline
 from gauge_envs.scoring.events import PUBLISHED_TRIALS
 from gauge_envs.scoring.interval import (
     COVERAGE_FACTOR,
+    ONE_SIDED,
     prediction_limit,
     student_limit,
 )
@@ -86,7 +87,7 @@ def real_limit(experiment: Experiment, band: Band, *, is_aligned: bool) -> float
         return limit
     published = normalizing_baselines(experiment, band).get("rmse")
     if band.kind is Kind.PUBLISHED and published is not None:
-        half_width = student_limit(PUBLISHED_TRIALS, one_sided=True)
+        half_width = student_limit(PUBLISHED_TRIALS, ONE_SIDED)
         return published.mean + half_width * (published.std or 0.0)
     count = band.trial_count
     if band.kind is Kind.TRIALS and count is not None and count > 1:

@@ -35,14 +35,17 @@ def student_t(freedom: float, coverage: float = 0.95) -> float:
     return float(stdtrit(freedom, 0.5 + 0.5 * coverage))
 
 
-def student_limit(count: int, *, one_sided: bool = False) -> float:
+ONE_SIDED = 0.9
+"""Coverage of an interval on both sides with 5 % of the values above it, where none count as too small."""
+
+
+def student_limit(count: int, coverage: float = 0.95) -> float:
     """Return the limit of one more value, in standard deviations of `count` values from their mean.
 
     Args:
         count: Number of values, at least two.
-        one_sided: Whether 5 % of values are above the limit, and none count as too small.
+        coverage: Probability of a value within the limit on both sides.
     """
-    coverage = 0.9 if one_sided else 0.95
     return student_t(count - 1, coverage) * math.sqrt(1.0 + 1.0 / count)
 
 
@@ -136,7 +139,7 @@ def prediction_limit(distances: FloatArray) -> float | None:
         return float(np.sort(distances)[rank - 1])
     logarithms = np.log(distances)
     spread = float(np.std(logarithms, ddof=1))
-    above = student_limit(count, one_sided=True) * spread
+    above = student_limit(count, ONE_SIDED) * spread
     return math.exp(float(logarithms.mean()) + above)
 
 

@@ -15,7 +15,7 @@ from scipy.spatial import ConvexHull
 
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.references.band import load_band
-from gauge_envs.scoring.score import score_trajectory
+from gauge_envs.scoring.trajectory import score_trajectory
 
 
 def friction_between(scene, first, second):

@@ -13,7 +13,7 @@ from gauge_envs.references.single_shot import single_shots
 from gauge_envs.scene import Pose
 from gauge_envs.scoring.exact import exact_motion, ideal_rebounds
 from gauge_envs.scoring.reference import reference_band
-from gauge_envs.scoring.score import score_trajectory
+from gauge_envs.scoring.trajectory import score_trajectory
 
 SETTINGS = {
     "nospin": "no_spin",

@@ -17,7 +17,7 @@ from gauge_envs.files import data_folder
 from gauge_envs.scene import Pose
 from gauge_envs.scoring.exact import exact_motion
 from gauge_envs.scoring.reference import reference_band
-from gauge_envs.scoring.score import score_trajectory
+from gauge_envs.scoring.trajectory import score_trajectory
 
 SETS = ("published", "measured")
 SLIDES = tuple(f"SlopeSlider-2-{name}" for name in ("wood", "plastic", "metal"))

@@ -12,7 +12,7 @@ from gauge_envs.references.published import published_baselines
 from gauge_envs.scoring.answers import Answer
 from gauge_envs.scoring.estimates import ComparedQuantity
 from gauge_envs.scoring.reference import refusal
-from gauge_envs.scoring.score import score_trajectory
+from gauge_envs.scoring.trajectory import score_trajectory
 from gauge_envs.scoring.user_file.likely_mistakes import start_values
 
 NAMES = [variant.name for variant in variants()]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
+from types import MappingProxyType
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
@@ -12,6 +13,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from gauge_envs.references.band import Band
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
+from gauge_envs.scoring.interval import student_limit
 from gauge_envs.scoring.metrics import MAX_TIME_OFFSET_S, MIN_OVERLAP
 from gauge_envs.scoring.user_file.likely_mistakes import corrections
 from gauge_envs.scoring.user_file.motion_checks import (
@@ -30,10 +32,13 @@ MIN_WHOLE_SHARE = 0.9
 MIN_TRIALS = 5
 """Smallest number of trials whose scatter is known."""
 
-MAX_RMS_MM, MAX_DISTANCE_MM = 3.0, 7.0
-"""Root mean square and largest distance of a point by noise of 1 mm in each coordinate [mm]; these are never too far.
+MAX_RMS, MAX_DISTANCE = 3.0, 7.0
+"""Root mean square and largest distance of a point by noise, over the noise of a coordinate; these are never too far.
 
-The root mean square is 1.7 mm with its scatter over eight frames; the distance is the largest of a million."""
+The root mean square is 1.7 with its scatter over eight frames; the distance is the largest of a million."""
+
+MIN_NOISE_MM, MAX_NOISE_MM = 0.1, 1.0
+"""Range of the noise of motion capture [mm]; the paper states 1 mm."""
 
 MAX_QUARTERS = 12.0
 """Largest distance beyond the median of the trials, over that of the upper quartile.
@@ -46,11 +51,29 @@ MIN_RATIO, MIN_RATIO_OF_FEW = 8.0, 200.0
 The largest of the 81 is 5.5 times the median, and 6.9 times with a twentieth of the frames lost. The quartiles of few
 trials are uncertain."""
 
+OWN_PROBABILITY = 0.99998
+"""Probability with which the size of the motion of a trial is plausible, if a single normal constant scatters."""
+
+MIN_MOTION = 5.0
+"""Smallest displacement whose size is compared, over the noise of a coordinate."""
+
+MIN_SHARE = 0.1
+"""Smallest relative difference of the size of a motion from that of the median trial that is a fault."""
+
+OWN_SHARE, OWN_SCATTER = 0.9, 0.79
+"""Share of the trials, the nearest ones, that gives the scatter, and their deviation over that of a normal constant."""
+
+MAX_LAW_SHARE = 0.5
+"""Largest distance from a solution with the published constants, over the root mean square of its displacement."""
+
 MAX_HELD_SHARE = 0.1
 """Largest share of trials with held values, so that holding them is a fault and not a rest without noise."""
 
 MAX_LEFT = 0.3
 """Largest share of a distance that is left after a correction, so that the correction is the cause."""
+
+UNEXPLAINED = "is it of this material and task?"
+"""Remedy of a motion that no correction explains."""
 
 SAME_MM = 1e-3
 """Largest distance of a copy [mm], the digits of files; noise of motion capture alone is larger."""
@@ -68,6 +91,7 @@ def trial_faults(
     *,
     unit: str = "mm",
     law: Band | None = None,
+    others: Mapping[str, FloatArray] = MappingProxyType({}),
     may_repeat: bool = False,
 ) -> dict[str, Fault]:
     """Return the fault of each trial that has one, by its file or number.
@@ -76,7 +100,9 @@ def trial_faults(
         names: Names of the coordinates, as `cube.x`.
         trials: The trials at the 30 Hz frames by file or number, shape [T, C] each; NaN is not captured.
         unit: Unit of the coordinates.
-        law: Reference of the experiment in the coordinates of the trials; None without one.
+        law: Reference of the experiment in the coordinates of the trials; None without one. Fewer than `MIN_TRIALS`
+            trials are compared with it, more of them with each other.
+        others: Motions of the other materials by their experiment, shape [T, C] each.
         may_repeat: Whether trials may be equal, as the motion of a machine.
     """
     if not trials:
@@ -91,12 +117,14 @@ def trial_faults(
             fault = _copy(trial, motions)
         if fault is None and law is not None:
             fault = against_law(law, trial)
+            if fault is None and len(trials) < MIN_TRIALS:
+                fault = far_from_law(law, trial)
         if fault is None:
             motions[file] = trial
         else:
             faults[file] = fault
     if len(motions) >= MIN_TRIALS:
-        faults |= _far(names, motions, unit)
+        faults |= _far(names, motions, unit, others)
         faults |= _held(names, motions)
     return faults
 
@@ -137,33 +165,158 @@ def _copy(motion: FloatArray, others: Mapping[str, FloatArray]) -> Fault | None:
 
 
 def _far(
-    names: Sequence[str], trials: Mapping[str, FloatArray], unit: str
+    names: Sequence[str],
+    trials: Mapping[str, FloatArray],
+    unit: str,
+    others: Mapping[str, FloatArray],
 ) -> Iterator[tuple[str, Fault]]:
-    """Yield trials that are too far from the median trial, as recorded or after the best time shift."""
+    """Yield trials that are too far from the median trial, have another size, or are of another material.
+
+    A deviation is that of the trial as recorded and after the best time shift, each also without a constant offset.
+    """
     owners, is_of = owners_of(names)
     motions = np.stack([*trials.values()])
-    recorded = _sizes(motions - _median(motions), is_of)
-    centre = _median(_aligned(motions, _median(motions)))
-    sizes = _sizes(_aligned(motions, centre) - centre, is_of)
-    ratios = np.zeros(len(motions))
-    for distances in (recorded, sizes):
-        root_mean_squares = np.sqrt(np.square(distances).mean(axis=1))
-        ratios = np.fmax(ratios, _ratios(root_mean_squares, unit, MAX_RMS_MM))
-        ratios = np.fmax(ratios, _ratios(distances.max(axis=1), unit, MAX_DISTANCE_MM))
-    for file, motion, ratio, size in zip(trials, motions, ratios, sizes, strict=True):
-        if ratio <= 1.0:
+    centre = median_motion(_aligned(motions, median_motion(motions)))
+    deviations = [motions - median_motion(motions), _aligned(motions, centre) - centre]
+    moved = [*map(_without_offset, deviations)]
+    noise = _noise_mm(motions) if unit == "mm" else np.zeros(len(motions))
+    least = MIN_MOTION * float(np.median(noise))
+    sizes = dict(_of_another_size([*trials], centre, moved, least))
+    materials = dict(_of_others([*trials], centre, moved, others, least))
+    distances = [_sizes(kind, is_of) for kind in (*deviations, *moved)]
+    ratios = np.array([_ratios(kind, noise) for kind in distances])
+    for index, file in enumerate(trials):
+        largest = int(ratios[:, index].argmax())
+        ratio = ratios[largest, index]
+        if ratio <= 1.0 and file not in sizes and file not in materials:
             continue
-        frame, owner = np.unravel_index(size.argmax(), size.shape)
-        yield (
-            file,
-            Fault(
-                place_of(frame),
-                f"{owners[owner]} is {size[frame, owner]:.3g} {unit} from the median trial, {ratio:.2g} times what the "
-                "scatter of the trials allows",
-                _remedy(motion, centre),
-                is_far=True,
-            ),
-        )
+        remedy = _remedy(motions[index], centre)
+        if file in materials and remedy == UNEXPLAINED:
+            yield file, materials[file]
+        elif ratio <= 1.0:
+            yield file, (materials | sizes)[file]._replace(remedy=remedy)
+        else:
+            distance = distances[largest][index]
+            frame, owner = np.unravel_index(distance.argmax(), distance.shape)
+            problem = (
+                f"{owners[owner]} is {distance[frame, owner]:.3g} {unit} from the median trial, "
+                f"{ratio:.2g} times what the scatter of the trials allows"
+            )
+            yield file, Fault(place_of(int(frame)), problem, remedy, is_far=True)
+
+
+def _of_another_size(
+    files: Sequence[str],
+    centre: FloatArray,
+    moved: Sequence[FloatArray],
+    least: float,
+) -> Iterator[tuple[str, Fault]]:
+    """Yield trials whose motion, or its part along an axis, is larger or smaller than the scatter of the trials allows.
+
+    Args:
+        files: Names of the trials.
+        centre: The median trial, shape [T, C].
+        moved: Deviations from it, as recorded and aligned, without offset, shape [N, T, C] each.
+        least: Smallest displacement that is no noise.
+    """
+    motion = _without_offset(centre[None])
+    axes = np.arange(motion.shape[2]) % 3
+    parts = {"its motion": np.ones(axes.shape)}
+    if len(axes) % 3 == 0:
+        parts |= {f"its motion along {'xyz'[axis]}": axes == axis for axis in range(3)}
+    for name, part in parts.items():
+        if not np.nanmax(np.abs(motion * part)) > least:
+            continue
+        shares, limit = _shares(moved, [motion * part] * 2)
+        for index in np.flatnonzero(np.abs(shares) > max(limit, MIN_SHARE)).tolist():
+            problem = (
+                f"{name} is {1.0 + shares[index]:.2g} times that of the median trial, "
+                f"and the scatter of the trials allows 1 +- {limit:.2g}"
+            )
+            yield files[index], Fault("(file)", problem, UNEXPLAINED, is_far=True)
+
+
+def _of_others(
+    files: Sequence[str],
+    centre: FloatArray,
+    moved: Sequence[FloatArray],
+    others: Mapping[str, FloatArray],
+    least: float,
+) -> Iterator[tuple[str, Fault]]:
+    """Yield trials that are nearer to the motion of another material than the scatter of the trials allows.
+
+    Args:
+        files: Names of the trials.
+        centre: The median trial, shape [T, C].
+        moved: Deviations from it, as recorded and aligned, without offset, shape [N, T, C] each.
+        others: Motions of the other materials by their experiment, shape [T, C] each.
+        least: Smallest difference of the materials that is no noise.
+    """
+    for name, motion in others.items():
+        if motion.shape[1] != centre.shape[1]:
+            continue
+        # Materials may have another number of frames.
+        other = np.full_like(centre, np.nan)
+        other[: len(motion)] = motion[: len(other)]
+        ways = [other[None] - centre, _aligned(other[None], centre) - centre]
+        if not np.nanmax(np.abs(ways[1])) > least:
+            continue
+        shares, limit = _shares(moved, [*map(_without_offset, ways)])
+        for index in np.flatnonzero(shares > max(limit, 0.5)).tolist():
+            problem = (
+                f"its motion is {100 * shares[index]:.0f} % of the way from the median trial to {name}, "
+                f"and the scatter of the trials allows {100 * limit:.0f} %"
+            )
+            remedy = f"is it a trial of {name}?"
+            yield files[index], Fault("(file)", problem, remedy, is_far=True)
+
+
+def _shares(
+    moved: Sequence[FloatArray], ways: Sequence[FloatArray]
+) -> tuple[FloatArray, float]:
+    """Return the deviations along a way, over the way, and the largest plausible one; of two kinds, the less scattered.
+
+    Student's t with the standard deviation of nine tenths of the trials gives the limit, so that a few trials of
+    another material do not widen it.
+
+    Args:
+        moved: Deviations, shape [N, T, C] each.
+        ways: A way for each, shape [1, T, C].
+    """
+    kinds = []
+    for deviations, way in zip(moved, ways, strict=True):
+        known = np.where(np.isfinite(deviations), way, np.nan)
+        squares = np.nansum(np.square(known), axis=(1, 2))
+        shares = np.nansum(deviations * way, axis=(1, 2)) / np.maximum(squares, 1e-12)
+        shares -= np.median(shares)
+        own = np.sort(np.abs(shares))[: int(OWN_SHARE * len(shares))]
+        scatter = math.sqrt(float(np.square(own).sum()) / (len(own) - 1)) / OWN_SCATTER
+        kinds.append((student_limit(len(own), OWN_PROBABILITY) * scatter, shares))
+    limit, shares = min(kinds, key=lambda kind: kind[0])
+    return shares, limit
+
+
+def far_from_law(law: Band, trial: FloatArray) -> Fault | None:
+    """Return where a motion is too far from its reference up to the largest displacement; None if nowhere.
+
+    Args:
+        law: The reference.
+        trial: The motion in the coordinates of g(t), shape [T, D]; NaN is not captured.
+    """
+    real, motion = displacements(law.mean), displacements(law.project(trial))
+    sizes = np.linalg.norm(np.nan_to_num(real), axis=1)
+    # Later, oscillations of another period also move against each other.
+    real[int(np.argmax(sizes >= 0.95 * sizes.max())) + 1 :] = np.nan
+    limit = MAX_LAW_SHARE * rms_over_frames(real)
+    if law.trial_rmse_aligned is not None:
+        limit = MIN_RATIO * float(np.median(law.trial_rmse_aligned))
+    deviation = _without_offset(_aligned(motion[None], real) - real)[0]
+    distance = rms_over_frames(deviation)
+    if law.unit != "mm" or not distance > max(limit, MAX_RMS * MAX_NOISE_MM):
+        return None
+    frame = int(np.nan_to_num(np.linalg.norm(deviation, axis=1)).argmax())
+    problem = f"it is {distance:.3g} mm from the reference, and at most {limit:.3g} mm is plausible"
+    return Fault(place_of(frame), problem, _remedy(motion, real), is_far=True)
 
 
 def _held(
@@ -192,16 +345,50 @@ def _sizes(deviations: FloatArray, is_of: FloatArray) -> FloatArray:
     return np.sqrt(np.nan_to_num(np.square(deviations)) @ is_of)
 
 
-def _ratios(sizes: FloatArray, unit: str, noise_mm: float) -> FloatArray:
-    """Return the largest size of each trial over the largest plausible one, for sizes of shape [N, owner_count]."""
-    largest = sizes.max(axis=1)
-    median, quarter = np.quantile(largest, (0.5, 0.75))
-    factor = MIN_RATIO + MIN_RATIO_OF_FEW / len(largest) ** 2
-    limit = max(factor * median, median + MAX_QUARTERS * (quarter - median))
-    return largest / (max(limit, noise_mm if unit == "mm" else 0.0) or math.inf)
+def _ratios(sizes: FloatArray, noise: FloatArray) -> FloatArray:
+    """Return the larger of the RMS and the maximum of each trial, over the largest plausible one, shape [N].
+
+    Args:
+        sizes: Distances of the bodies or markers, shape [N, T, owner_count].
+        noise: Noise of each trial, shape [N].
+    """
+    ratios = np.zeros(len(sizes))
+    for distances, factor in (
+        (np.sqrt(np.square(sizes).mean(axis=1)), MAX_RMS),
+        (sizes.max(axis=1), MAX_DISTANCE),
+    ):
+        largest = distances.max(axis=1)
+        median, quarter = np.quantile(largest, (0.5, 0.75))
+        plausible = (MIN_RATIO + MIN_RATIO_OF_FEW / len(largest) ** 2) * median
+        plausible = max(plausible, median + MAX_QUARTERS * (quarter - median))
+        limits = np.maximum(plausible, factor * noise)
+        limits[limits == 0.0] = math.inf
+        ratios = np.fmax(ratios, largest / limits)
+    return ratios
 
 
-def _median(motions: FloatArray) -> FloatArray:
+def _noise_mm(motions: FloatArray) -> FloatArray:
+    """Return the noise of a coordinate in each trial [mm], from the third differences, of variance 20."""
+    differences = np.abs(np.diff(motions, 3, axis=1)).reshape(len(motions), -1)
+    with warnings.catch_warnings(action="ignore", category=RuntimeWarning):
+        noise_mm = np.nanmedian(differences, axis=1) / (0.6745 * math.sqrt(20.0))
+    return np.clip(np.nan_to_num(noise_mm), MIN_NOISE_MM, MAX_NOISE_MM)
+
+
+def displacements(motion: FloatArray) -> FloatArray:
+    """Return a motion relative to its first known position, shape [T, C]; NaN is unknown."""
+    first = np.isfinite(motion).argmax(axis=0)
+    return motion - np.take_along_axis(motion, first[None], axis=0)
+
+
+def _without_offset(deviations: FloatArray) -> FloatArray:
+    """Return deviations, shape [N, T, C], without the mean over the frames."""
+    with warnings.catch_warnings(action="ignore", category=RuntimeWarning):
+        return np.asarray(deviations - np.nanmean(deviations, axis=1, keepdims=True))
+
+
+def median_motion(motions: FloatArray) -> FloatArray:
+    """Return the median of trials of shape [N, T, C], shape [T, C]; NaN is unknown."""
     with warnings.catch_warnings(action="ignore", category=RuntimeWarning):
         return np.asarray(np.nanmedian(motions, axis=0))
 
@@ -229,7 +416,7 @@ def _remedy(motion: FloatArray, centre: FloatArray) -> str:
     best = int(np.argmin(sizes))
     if sizes[best] < MAX_LEFT * _nearest(motion, centre):
         return corrected[best][0]
-    return "is it of this material and task?"
+    return UNEXPLAINED
 
 
 def _nearest(motion: FloatArray, centre: FloatArray) -> float:

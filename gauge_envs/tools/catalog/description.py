@@ -32,7 +32,7 @@ from gauge_envs.scoring.estimates import ComparedQuantity
 from gauge_envs.scoring.events import PUBLISHED_TRIALS
 from gauge_envs.scoring.exact import exact_motion
 from gauge_envs.scoring.reference import reference_band, reference_kind
-from gauge_envs.scoring.score import score_trajectory
+from gauge_envs.scoring.trajectory import score_trajectory
 from gauge_envs.text import toml_document
 from gauge_envs.tools.catalog.listing import engine_rows
 from gauge_envs.tools.catalog.spaces import action_rows, observation_rows

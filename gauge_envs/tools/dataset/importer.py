@@ -1,10 +1,12 @@
 """Import a dataset folder, one variant after another."""
 
+from __future__ import annotations
+
 import hashlib
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import chain
+from itertools import chain, groupby
 from pathlib import Path
 from typing import Any
 
@@ -12,9 +14,10 @@ import numpy as np
 
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.resolve import load_experiment
-from gauge_envs.experiments.variants import Variant
+from gauge_envs.experiments.variants import Variant, variants
 from gauge_envs.files import json_ready
 from gauge_envs.observables.kinds import Observable, coordinate_names
+from gauge_envs.pages.text import counted
 from gauge_envs.reading import content_of
 from gauge_envs.references.band import Band
 from gauge_envs.references.imported import (
@@ -31,7 +34,12 @@ from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scoring.events import PUBLISHED_TRIALS, event_values
 from gauge_envs.scoring.interval import COVERAGE_FACTOR
 from gauge_envs.scoring.reference import reference_band
-from gauge_envs.scoring.user_file.gate import rms_over_frames, trial_faults
+from gauge_envs.scoring.user_file.gate import (
+    MIN_TRIALS,
+    median_motion,
+    rms_over_frames,
+    trial_faults,
+)
 from gauge_envs.scoring.user_file.motion_checks import filled
 from gauge_envs.text import printable
 from gauge_envs.tools.dataset.findings import ImportFinding, TrialError
@@ -41,6 +49,7 @@ from gauge_envs.tools.dataset.observation import (
     driver_track,
     generalized_trajectory,
     point_names,
+    reference_motion_mm,
     start_quaternions,
     trial_points,
 )
@@ -166,24 +175,71 @@ def import_trials(
         DatasetError: The user's data folder cannot be written.
     """
     file_of: dict[str, str] = {}
-    for variant, paths in layout.files.items():
-        # Project recorded motion on the motions of the task file, not of an earlier import.
-        experiment = load_experiment(variant)
-        trials: dict[str, _TrialData] = {}
-        findings: list[ImportFinding] = []
-        for path in paths:
-            file = printable(path.relative_to(layout.root).as_posix())
-            try:
-                sample = _read(path, experiment, defaults, file_of)
-            except TrialError as error:
-                findings.append(error.finding(file))
-            else:
-                file_of[sample.sha256] = file
-                trials[file] = sample
-                if sample.fault is not None:
-                    findings.append(sample.fault.finding(file))
-        findings += _without_faults(experiment, trials, keep=keep)
-        yield _imported(experiment, layout.revision, trials, findings, len(paths))
+    for _, group in groupby(layout.files, _experiment_of):
+        read = [_read_all(layout, variant, defaults, file_of) for variant in group]
+        motions = {
+            experiment.name: median_motion(
+                np.stack([sample.points_mm for sample in trials.values()])
+            )
+            for experiment, trials, _ in read
+            if len(trials) >= MIN_TRIALS
+        }
+        for experiment, trials, findings in read:
+            others = _other_motions(experiment.variant, motions)
+            findings += _without_faults(experiment, trials, others, keep=keep)
+            file_count = len(layout.files[experiment.variant])
+            yield _imported(experiment, layout.revision, trials, findings, file_count)
+
+
+def _experiment_of(variant: Variant) -> tuple[str, str | None]:
+    """Return family and subtask, which all materials share."""
+    return variant.family, variant.subtask
+
+
+def _other_motions(
+    variant: Variant, motions: Mapping[str, FloatArray]
+) -> dict[str, FloatArray]:
+    """Return the motions of the other materials by their names, shape [T, C] each.
+
+    Args:
+        variant: The variant.
+        motions: Median trials by the names of their variants; a material without one has the motion of its reference.
+    """
+    found = {}
+    for other in variants():
+        if other == variant or _experiment_of(other) != _experiment_of(variant):
+            continue
+        motion = motions.get(other.name)
+        if motion is None:
+            motion = reference_motion_mm(load_experiment(other))
+        if motion is not None:
+            found[other.name] = motion
+    return found
+
+
+def _read_all(
+    layout: Layout,
+    variant: Variant,
+    defaults: Mapping[str, Any] | None,
+    file_of: dict[str, str],
+) -> tuple[Experiment, dict[str, _TrialData], list[ImportFinding]]:
+    """Return the experiment, the usable trials by their files, and the problems of the others; see `_read`."""
+    # Project recorded motion on the motions of the task file, not of an earlier import.
+    experiment = load_experiment(variant)
+    trials: dict[str, _TrialData] = {}
+    findings: list[ImportFinding] = []
+    for path in layout.files[variant]:
+        file = printable(path.relative_to(layout.root).as_posix())
+        try:
+            sample = _read(path, experiment, defaults, file_of)
+        except TrialError as error:
+            findings.append(error.finding(file))
+        else:
+            file_of[sample.sha256] = file
+            trials[file] = sample
+            if sample.fault is not None:
+                findings.append(sample.fault.finding(file))
+    return experiment, trials, findings
 
 
 @dataclass(frozen=True, eq=False)
@@ -256,14 +312,24 @@ def _read(
 
 
 def _without_faults(
-    experiment: Experiment, trials: dict[str, _TrialData], *, keep: bool
+    experiment: Experiment,
+    trials: dict[str, _TrialData],
+    others: Mapping[str, FloatArray],
+    *,
+    keep: bool,
 ) -> Iterator[ImportFinding]:
     """Remove trials and prescribed motions that the gate refuses, and yield why."""
     points = {file: sample.points_mm for file, sample in trials.items()}
     # Prescribed motions may differ from those of the reference.
-    is_free = experiment.recorded and not experiment.scene.drivers
-    law = reference_band(experiment) if is_free else None
-    for file, fault in trial_faults(point_names(experiment), points, law=law).items():
+    law = None if experiment.scene.drivers else reference_band(experiment)
+    if law is not None:
+        law = law.compared if law.compared.unit == "mm" else None
+    if law is None and len(trials) < MIN_TRIALS:
+        problem = f"{counted(len(trials), 'trial')}, not compared with each other"
+        error = TrialError("(folder)", problem, f"{MIN_TRIALS} are needed")
+        yield error.finding(experiment.name, left_out=False)
+    names = point_names(experiment)
+    for file, fault in trial_faults(names, points, law=law, others=others).items():
         is_kept = keep and fault.is_far
         if not is_kept:
             del trials[file]

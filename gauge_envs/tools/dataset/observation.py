@@ -18,11 +18,18 @@ from gauge_envs.scene import Markers, Pose
 from gauge_envs.scene.driver_fit import motion_coordinates
 from gauge_envs.scene.drivers import Driver
 from gauge_envs.scene.geometry import FloatArray, length_of
+from gauge_envs.scoring.reference import reference_band
+from gauge_envs.scoring.user_file.gate import displacements
 from gauge_envs.tools.dataset.findings import TrialError
 from gauge_envs.tools.dataset.trial import PoseTrack, Trial, check_lengths
 
 MAX_START_DISTANCE_MM = 300.0
 """Largest distance from the published initial position; a larger one means a wrong frame, unit or body."""
+
+MAX_SIZE_RATIO = 1.4
+"""Largest ratio of the size of the markers at the start to that in the metadata, and of its inverse.
+
+It is halfway to a factor of 2; units differ by more."""
 
 LEVERS_MM = ((100.0, 0.0, 0.0), (0.0, 0.0, 100.0))
 """Points whose motion shows the rotation of a driven body [mm]."""
@@ -66,6 +73,15 @@ def generalized_trajectory(points_mm: FloatArray, experiment: Experiment) -> Flo
         return points_mm
     markers_m = 1e-3 * points_mm.reshape(len(points_mm), -1, 3)
     return observe_markers(markers_m, markers, experiment.score.observable)
+
+
+def reference_motion_mm(experiment: Experiment) -> FloatArray | None:
+    """Return the displacement of `trial_points` in the reference of an experiment; None without one in mm."""
+    band = reference_band(experiment)
+    if band is None or band.compared.unit != "mm":
+        return None
+    motion = displacements(band.compared.mean)
+    return motion @ np.linalg.pinv(band.compared.projection).T
 
 
 def trial_points(trial: Trial, experiment: Experiment) -> FloatArray:
@@ -158,6 +174,11 @@ def trial_markers_mm(trial: Trial, markers: Markers) -> FloatArray:
     return positions_mm.reshape(len(positions_mm), -1)
 
 
+def _size(places_mm: FloatArray) -> float:
+    """Return the root mean square distance of places, shape [N, 3], from their centre [mm]."""
+    return length_of(places_mm - places_mm.mean(axis=0)) / len(places_mm) ** 0.5
+
+
 def _check_order(
     ids: Sequence[str], positions_mm: FloatArray, rest_mm: FloatArray
 ) -> None:
@@ -174,6 +195,10 @@ def _check_order(
         return
     starts_mm = positions_mm[captured[:, seen].argmax(axis=0), seen]
     _check_place("markers", starts_mm.mean(axis=0), rest_mm[seen].mean(axis=0))
+    size, expected = map(_size, (starts_mm, rest_mm[seen]))
+    if max(size, expected) > MAX_SIZE_RATIO * min(size, expected):
+        problem = f"they are {size:.3g} mm from their centre at the start, and {expected:.3g} mm in the metadata"
+        raise TrialError("markers", problem, "check the unit and the markers")
     nearest = cdist(starts_mm, rest_mm[seen]).argmin(axis=1)
     places = np.arange(seen.size)
     if np.array_equal(np.sort(nearest), places) and (nearest != places).any():

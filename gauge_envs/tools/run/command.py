@@ -18,7 +18,7 @@ from gauge_envs.cli.output import (
     print_document,
 )
 from gauge_envs.cli.results import reported
-from gauge_envs.errors import ParameterError
+from gauge_envs.errors import ParameterError, ReferenceFileError
 from gauge_envs.processors import processor_count
 from gauge_envs.tools.run.options import RunOptions, SweepOptions, parsed_parameters
 
@@ -92,8 +92,8 @@ def _without_effect(requests: Sequence[RunRequest]) -> list[str]:
         if request.seed and request.jitter is None and request.repeats == 1:
             text = "changes nothing: the initial state has no noise. Add --jitter real."
             texts[f"--seed {request.seed} {text}"] = None
-        # Some experiments of a pattern do not have the parameters.
-        with suppress(ParameterError):
+        # Some experiments of a pattern do not have the parameters, or have a damaged import.
+        with suppress(ParameterError, ReferenceFileError):
             texts[request.experiment().unused_restitution] = None
     return [text for text in texts if text]
 

@@ -19,7 +19,12 @@ from gauge_envs.backends import (
     versions_of,
 )
 from gauge_envs.backends.registry import shares_worlds
-from gauge_envs.errors import GaugeError, ParameterError, UnsupportedSceneError
+from gauge_envs.errors import (
+    GaugeError,
+    ParameterError,
+    ReferenceFileError,
+    UnsupportedSceneError,
+)
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.variants import matching_variants
 from gauge_envs.files import json_ready
@@ -28,6 +33,7 @@ from gauge_envs.registry import package_versions
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.workers import CrashError, call_engine
 from gauge_envs.scene.jitter import JITTER_FORMAT
+from gauge_envs.scoring.reference import reference_band
 from gauge_envs.tools.run.spec import RunSpec
 
 MAX_EPISODES = 1_000_000
@@ -110,8 +116,8 @@ class _Case:
 
     Attributes:
         request: The request without an engine and its settings, with the effective jitter.
-        experiment: The experiment; it has published parameters if those of the request are rejected.
-        rejected: Why the parameters are rejected; empty if they are not.
+        experiment: The experiment; it has published parameters if the request is rejected.
+        rejected: Why the parameters or the reference are rejected; empty if they are not.
     """
 
     request: RunRequest
@@ -126,7 +132,8 @@ class _Case:
             "task": experiment.file_sha256,
             "scene": asdict(experiment.scene),
             "asset": experiment.asset and experiment.asset.sha256,
-            "dataset": dataset_record(
+            "dataset": not self.rejected
+            and dataset_record(
                 experiment.name,
                 drivers=experiment.drivers,
                 reference=experiment.reference_source,
@@ -159,8 +166,10 @@ def _case(request: RunRequest) -> _Case:
     """Return the case of a request."""
     request = replace(request, jitter=request.scatter)
     try:
-        return _Case(request, request.experiment())
-    except ParameterError as error:
+        experiment = request.experiment()
+        reference_band(experiment)
+        return _Case(request, experiment)
+    except (ParameterError, ReferenceFileError) as error:
         return _Case(request, request.published_experiment(), str(error))
 
 

@@ -19,7 +19,8 @@ from gauge_envs.runs.result_file import (
 )
 from gauge_envs.scoring.estimates import ComparedQuantity
 from gauge_envs.scoring.reference import reference_band
-from gauge_envs.scoring.score import Score, score_trajectory
+from gauge_envs.scoring.score import Score
+from gauge_envs.scoring.trajectory import score_trajectory
 from gauge_envs.tools.compare.comparison import compare
 from gauge_envs.tools.compare.overview_figure import draw_overview
 from gauge_envs.tools.compare.report import comparison_document

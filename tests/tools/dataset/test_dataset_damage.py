@@ -20,6 +20,7 @@ from dataset_writer import (
 from imports import band_of, import_contents, imported
 
 from gauge_envs.references.imported import load_imported
+from gauge_envs.references.user_data import imported_file
 from gauge_envs.tools.dataset.trial import parse_trial
 
 SLIDER, FOAM, PLATE = "SlopeSlider-1-wood", "FoamBending-soft", "Turntable-2-wood"
@@ -165,10 +166,10 @@ def test_a_damaged_driven_body_leaves_the_trial_in_the_band(tmp_path):
         del contents[1]["plate"][key]
     contents[2]["plate"]["x"][:3] = [None] * 3
     outcome = import_contents(tmp_path, PLATE, contents)
-    assert (outcome.used, outcome.left_out) == (4, 0)
+    assert (outcome.used, outcome.left_out) == (len(AMOUNTS), 0)
     keys = [finding.key for finding in outcome.findings if finding.left_out]
     assert keys == ["plate", "plate.qx", "plate[0]"]
-    assert outcome.facts.drivers[0].trial_count == 1
+    assert outcome.facts.drivers[0].trial_count == len(AMOUNTS) - 3
 
 
 def test_the_command_imports_the_rest_and_exits_with_1(tmp_path, gauge):
@@ -183,7 +184,7 @@ def test_the_command_imports_the_rest_and_exits_with_1(tmp_path, gauge):
     table = " ".join(result.stdout.split())
     assert "trial-98.json" in table and "(file): it is not JSON" in table
     assert "usable trials: 1; at least 2" in table
-    assert "8 trials of 2 experiments imported" in result.stderr
+    assert f"{2 * len(AMOUNTS)} trials of 2 experiments imported" in result.stderr
     assert result.stdout.count("RMSE") == 3
     assert "2 of 6 baselines differ" in result.stdout
     lines = gauge("data", "import", tmp_path, "--json").stdout.splitlines()
@@ -196,7 +197,23 @@ def test_the_command_imports_the_rest_and_exits_with_1(tmp_path, gauge):
     assert (plate["imported"], plate["frames"]) == (False, None)
     assert table["drivers"][0]["body"] == "rod"
     keys = [row["finding"]["key"] for row in rows if "finding" in row]
-    assert keys == ["(file)", "(file)", "(folder)"]
+    # One trial has nothing to be compared with.
+    assert keys == ["(file)", "(file)", "(folder)", "(folder)"]
+
+
+def test_a_damaged_import_fails_alone(tmp_path, gauge):
+    """The run names the id with the command that renews it, and runs the others."""
+    names = ("SlopeSlider-1-wood", "SlopeSlider-1-plastic")
+    for name in names:
+        write_synthetic(tmp_path, name)
+    assert gauge("data", "import", tmp_path).exit_code == 0
+    file = imported_file(names[1])
+    file.write_bytes(file.read_bytes()[:400])
+    result = gauge("run", "SlopeSlider-1-wood", names[1], "--use", "imported")
+    assert result.exit_code == 1
+    said = " ".join(result.stderr.split())
+    assert f"failed: {names[1]}" in said and f"import DIR {names[1]} renews it" in said
+    assert "1 finished, 1 failed" in said
 
 
 def test_encoding_line_ends_and_unit_do_not_change_a_trial(tmp_path, gauge):

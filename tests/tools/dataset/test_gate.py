@@ -27,8 +27,8 @@ from imports import band_of, imported
 from gauge_envs import load_experiment
 from gauge_envs.references.band import load_band
 from gauge_envs.references.imported import load_imported
-from gauge_envs.scoring.score import score_trajectory
-from gauge_envs.scoring.user_file.gate import band_fault
+from gauge_envs.scoring.trajectory import score_trajectory
+from gauge_envs.scoring.user_file.gate import band_fault, trial_faults
 from gauge_envs.tools.dataset import importer
 
 SLIDER, PLATE, ROPE = "SlopeSlider-2-wood", "Turntable-2-wood", "RopeWinding-rubber"
@@ -182,7 +182,27 @@ def test_clean_trials_are_all_imported(name, tmp_path):
         rng = np.random.default_rng(100 + number)
         contents = clean_contents(name, rng, **options)
         outcome = import_files(root, name, [*map(as_text, contents)])
-        assert (outcome.used, outcome.findings) == (len(contents), []), options
+        left_out = [finding for finding in outcome.findings if finding.left_out]
+        assert (outcome.used, left_out) == (len(contents), []), options
+
+
+def test_few_trials_are_compared_with_the_reference_or_not_at_all(tmp_path):
+    """The board of the free slide has a law; the motion of a turntable may differ from that of the reference."""
+    for name, part in ((SLIDER, ("cube", None)), (PLATE, ("cube", None))):
+        rng = np.random.default_rng(3)
+        contents = clean_contents(name, rng, 3)
+        texts = [*map(as_text, contents)]
+        outcome = import_files(tmp_path / "clean", name, texts)
+        half = {"half": UNSEEN_RECORDING_DAMAGES["half as large"]}
+        make = path_cases(name, part, half, rng)["half"]
+        damaged = import_files(tmp_path / "half", name, [make(contents), *texts[1:]])
+        if name == SLIDER:
+            assert (outcome.used, outcome.findings) == (3, [])
+            (finding,) = damaged.findings
+            assert damaged.used == 2 and "from the reference" in finding.problem
+        else:
+            (finding,) = outcome.findings
+            assert not finding.left_out and "not compared" in finding.problem
 
 
 def test_another_material_is_named_and_kept_on_request(tmp_path, gauge):
@@ -205,6 +225,50 @@ def test_another_material_is_named_and_kept_on_request(tmp_path, gauge):
         assert f"{count} trials of 1 experiment" in result.stderr
         said = " ".join((result.stdout + result.stderr).split())
         assert "from the median trial" in said
+
+
+@pytest.mark.parametrize(
+    ("own", "other", "fewest", "most"),
+    [("plastic", "metal", 8, 19), ("metal", "wood", 0, 0)],
+)
+def test_real_trials_of_another_material_are_named_if_their_scatter_allows_it(
+    own, other, fewest, most
+):
+    """The friction of metal scatters by more than its difference from that of wood."""
+    bands = {name: load_band(f"SlopeSlider-2-{name}") for name in (own, other)}
+    trials = {f"own {k}": trial for k, trial in enumerate(bands[own].trials)}
+    others = {other: bands[other].mean}
+    names = bands[own].coordinates
+    assert trial_faults(names, trials, others=others) == {}
+    found = []
+    for trial in bands[other].trials:
+        wrong = np.full_like(bands[own].mean, np.nan)
+        wrong[: len(trial)] = trial[: len(wrong)]
+        found.append(trial_faults(names, trials | {"wrong": wrong}, others=others))
+    assert all(set(faults) <= {"wrong"} for faults in found)
+    named = [fault for faults in found for fault in faults.values()]
+    assert fewest <= len(named) <= most
+    assert all(f"median trial to {other}" in fault.problem for fault in named)
+
+
+@pytest.mark.parametrize("name", ["FoamBending-soft"])
+def test_markers_of_another_size_are_named(name, tmp_path):
+    """A foam of half the size, and a motion of half the size, are smaller than the distance of two trials."""
+
+    def smaller(contents):
+        entry = contents[0]["foam"]
+        for axis in "xyz":
+            centre = np.mean([marker[axis][0] for marker in entry.values()])
+            for marker in entry.values():
+                column = centre + 0.5 * (np.array(marker[axis]) - centre)
+                marker[axis] = column.tolist()
+        return as_text(contents[0])
+
+    rng = np.random.default_rng(8)
+    kinds = ("half as large", "motion mirrored")
+    damages = {k: (UNSEEN_RECORDING_DAMAGES | RECORDING_DAMAGES)[k] for k in kinds}
+    cases = path_cases(name, ("foam", None), damages, rng) | {"smaller": smaller}
+    assert silent(tmp_path, name, rng, cases) == []
 
 
 def verdicts():

@@ -1,0 +1,132 @@
+"""Score a generalized trajectory against the reference of its experiment."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from gauge_envs.errors import ShapeError
+from gauge_envs.experiments.experiment import Experiment
+from gauge_envs.references.band import Band, recorded_events
+from gauge_envs.references.kind import Kind
+from gauge_envs.references.metrics import METRICS
+from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scoring.answers import united
+from gauge_envs.scoring.distances import ComparedMotion, with_distances
+from gauge_envs.scoring.estimates import ComparedQuantity, estimates
+from gauge_envs.scoring.events import PUBLISHED_TRIALS, event_values
+from gauge_envs.scoring.metrics import frame_index
+from gauge_envs.scoring.recorded_events import EVENTS, SampledMotion
+from gauge_envs.scoring.reference import has_real_structure, refusal
+from gauge_envs.scoring.score import Score
+from gauge_envs.scoring.user_file.likely_mistakes import value_mistake
+
+
+def score_trajectory(
+    experiment: Experiment,
+    band: Band | None,
+    *,
+    times_s: FloatArray,
+    values: FloatArray,
+    markers_m: FloatArray | None = None,
+    is_moved: bool = False,
+    is_checked: bool = False,
+) -> Score:
+    """Score a generalized trajectory.
+
+    Args:
+        experiment: Experiment that was simulated.
+        band: Reference to score against. With None, the score holds only numbers that need no reference.
+        times_s: Times of the samples since the first frame [s], strictly increasing, shape [sample_count]. Each 30 Hz
+            frame has a sample within 0.1 ms. More samples make the time offset more precise. Samples after the last
+            frame are ignored.
+        values: g(t) at those times, shape [sample_count, coordinate_count].
+        markers_m: Markers at the frames [m], shape [frame_count, marker_count, 3]; None if they are not known.
+            Solutions of cloth and foam compare the markers.
+        is_moved: Whether the initial state had noise, as with `jitter`.
+        is_checked: Whether unit and start are known to be right, as in an episode of this package.
+
+    Raises:
+        ShapeError: A frame is missing, values are not finite or have the wrong width, the unit is wrong, or the motion
+            starts elsewhere than the scene.
+    """
+    index = frame_index(times_s, experiment.frame_count, name=experiment.name)
+    end = index[-1] + 1
+    times_s, values, frames = times_s[:end], values[:end], values[index]
+    if not is_checked and np.isfinite(frames[0]).all():
+        fault = value_mistake(experiment, frames)
+        if fault is not None:
+            raise ShapeError(f"{experiment.name}: {fault}")
+    reason = refusal(experiment, band, is_moved=is_moved)
+    events = _events(experiment, times_s, values, frames, markers_m)
+    unit = experiment.score.observable.unit
+    score = Score(
+        kind=(Kind.NONE if band is None else band.kind).value,
+        unit=unit,
+        distance_unit=unit if band is None else band.compared.unit,
+        like_reality=united(event.answer for event in events.values()),
+        refused=reason,
+        events=events,
+        estimates=estimates(experiment, band, times_s=times_s, values=values),
+    )
+    if band is None or reason is not None:
+        return score
+    motion = ComparedMotion(
+        experiment=experiment,
+        band=band,
+        times_s=times_s,
+        samples=band.project(values),
+        frames=band.project(frames),
+        markers_m=markers_m,
+    )
+    return with_distances(score, motion, is_moved=is_moved)
+
+
+def _events(
+    experiment: Experiment,
+    times_s: FloatArray,
+    values: FloatArray,
+    frames: FloatArray,
+    markers_m: FloatArray | None,
+) -> dict[str, ComparedQuantity]:
+    """Return the events of an episode with the published and the recorded values."""
+    if not has_real_structure(experiment):
+        return {}
+    events = {}
+    for metric, value in event_values(experiment, frames).items():
+        row = experiment.baselines.get(metric)
+        std = None if row is None else row.std
+        events[metric] = _event(
+            value,
+            unit=METRICS[metric].unit or experiment.score.observable.unit,
+            real=None if row is None else row.mean,
+            real_uncertainty=None if std is None else std / math.sqrt(PUBLISHED_TRIALS),
+        )
+    if markers_m is None and experiment.scene.markers is not None:
+        return events
+    for event in recorded_events(experiment.name):
+        motion = SampledMotion(
+            scene=experiment.scene,
+            times_s=times_s,
+            samples=values,
+            markers_m=np.empty((len(frames), 0, 3)) if markers_m is None else markers_m,
+            markers=event.markers,
+        )
+        events[event.name] = _event(
+            EVENTS[event.name](motion),
+            unit=event.unit,
+            real=event.value,
+            real_uncertainty=event.standard_uncertainty,
+        )
+    return events
+
+
+def _event(
+    value: float, *, unit: str, real: float | None, real_uncertainty: float | None
+) -> ComparedQuantity:
+    """Return an event with its real value; NaN is an event that does not happen."""
+    known = None if math.isnan(value) else value
+    return ComparedQuantity(
+        value=known, unit=unit, real=real, real_uncertainty=real_uncertainty
+    )
