@@ -64,7 +64,7 @@ def run_all(folder):
         with (folder / f"{name}.csv").open("w", newline="") as stream:
             writer = csv.writer(stream)
             writer.writerow(["time_s", "body", *STATE])
-            writer.writerows(motion(folder / run["mjcf"], run))
+            writer.writerows(motion(folder / f"{name}.xml", run))
 
 
 if __name__ == "__main__":

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -32,25 +33,24 @@ from gauge_envs.tools.conformance.run import run_check
 
 TABLE = "checks.json"
 CALLS = "it needs more of an engine than the motion of rigid bodies"
-FACTS = (
-    *("title", "description", "law", "unit", "expected", "width", "rationale"),
-    "fingerprint",
-)
-"""Facts of a check in the table; `width` is its tolerance."""
 COLUMNS = ("time_s", *"xyz", "qw", "qx", "qy", "qz", "vx", "vy", "vz", "wx", "wy", "wz")
 """Columns of a motion beside `body`: time, and state as in `Simulation.body_states`."""
 
 
-class _Exporting(Lab):
-    """MuJoCo, with a list of the scenes that a check runs.
+class _Scenes(Lab):
+    """The scenes that a check runs, on MuJoCo or with motions of files.
+
+    Args:
+        motions: Files of the motions, in the order of the scenes; None runs the scenes.
 
     Attributes:
         runs: Each scene, with its sample times, moving bodies and constant wrenches.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, motions: Sequence[Path] | None = None) -> None:
         super().__init__(BackendMuJoCo())
         self.runs: list[tuple[Scene, dict[str, Any]]] = []
+        self._motions = motions
 
     def build(self, *_: Any, **__: Any) -> Simulation:
         """Reject checks that call an engine otherwise than by `rollout`."""
@@ -80,49 +80,33 @@ class _Exporting(Lab):
             },
         }
         self.runs.append((scene, run))
-        return self._recording(scene, whole_s, interval_s, wrenches)
-
-    def _recording(
-        self,
-        scene: Scene,
-        seconds: float,
-        interval_s: float,
-        wrenches: Mapping[str, ArrayLike],
-    ) -> Recording:
+        if self._motions is not None:
+            return _read_motion(self._motions[len(self.runs) - 1], scene, run)
         lab = Lab(self.backend)
-        return lab.rollout(scene, seconds, interval_s=interval_s, wrenches=wrenches)
+        return lab.rollout(scene, whole_s, interval_s=interval_s, wrenches=wrenches)
 
 
-class _Judging(_Exporting):
-    """Motions of files, in the order in which a check runs its scenes.
-
-    Args:
-        paths: The files.
-    """
-
-    def __init__(self, paths: Sequence[Path]) -> None:
-        super().__init__()
-        self._paths = paths
-
-    def _recording(self, scene: Scene, *_: Any) -> Recording:
-        path, run = self._paths[len(self.runs) - 1], self.runs[-1][1]
-        if not path.exists():
-            raise UnsupportedError((f"there is no {path.name}",))
-        times_s = run["interval_s"] * np.arange(run["samples"])
-        rows: dict[str, list[list[float]]] = {name: [] for name in run["bodies"]}
-        with reading(path, ResultFileError) as content:
-            for row in csv.DictReader(content.decode().splitlines()):
-                rows[row["body"]].append([float(row[key]) for key in COLUMNS])
-            tables = {name: np.array(table) for name, table in rows.items()}
-            for name, table in tables.items():
-                if len(table) != len(times_s) or not np.allclose(table[:, 0], times_s):
-                    raise ValueError(
-                        f"{name!r} needs {len(times_s)} rows, each {run['interval_s']:.6g} s after the last, from 0 s"
-                    )
-        states = {name: table[:, 1:] for name, table in tables.items()}
-        for name, state in placed_states(scene).items():
-            states[name] = np.tile(state, (len(times_s), 1))
-        return Recording(scene=scene, times_s=times_s, states=states)
+def _read_motion(path: Path, scene: Scene, run: Mapping[str, Any]) -> Recording:
+    """Return the motion of a scene from a file."""
+    if not path.exists():
+        raise UnsupportedError((f"there is no {path.name}",))
+    times_s = run["interval_s"] * np.arange(run["samples"])
+    rows: dict[str, list[list[float]]] = {name: [] for name in run["bodies"]}
+    states = {
+        name: np.tile(state, (len(times_s), 1))
+        for name, state in placed_states(scene).items()
+    }
+    with reading(path, ResultFileError) as content:
+        for row in csv.DictReader(content.decode().splitlines()):
+            rows[row["body"]].append([float(row[key]) for key in COLUMNS])
+        for name, table in rows.items():
+            seen_s = [row[0] for row in table]
+            if len(seen_s) != len(times_s) or not np.allclose(seen_s, times_s):
+                raise ValueError(
+                    f"{name!r} needs {len(times_s)} rows, each {run['interval_s']:.6g} s after the last, from 0 s"
+                )
+            states[name] = np.array(table)[:, 1:]
+    return Recording(scene=scene, times_s=times_s, states=states)
 
 
 def export_scenes(folder: Path, only: Sequence[str]) -> list[str]:
@@ -144,15 +128,15 @@ def export_scenes(folder: Path, only: Sequence[str]) -> list[str]:
     for check in checks(only):
         if check.level not in (Level.RIGID, Level.CONTACT):
             continue
-        lab = _Exporting()
+        lab = _Scenes()
         result = run_check(lab, check)
         if result.status is Status.UNSUPPORTED:
             continue
         names = [f"{check.id}-{number}" for number in range(1, len(lab.runs) + 1)]
         for name, (scene, run) in zip(names, lab.runs, strict=True):
-            runs[name] = {**run, **_write(folder, name, scene)}
-        facts = result.to_dict()
-        table[check.id] = {key: facts[key] for key in FACTS} | {"runs": names}
+            runs[name] = run
+            _write(folder, name, scene)
+        table[check.id] = result.to_dict() | {"runs": names}
     if not table:
         raise ParameterError(f"{', '.join(only)} has no scene for a file: {CALLS}")
     version = package_versions()["gauge-envs"]
@@ -161,18 +145,15 @@ def export_scenes(folder: Path, only: Sequence[str]) -> list[str]:
     return [*table]
 
 
-def _write(folder: Path, name: str, scene: Scene) -> dict[str, str | None]:
-    """Write a scene and return the names of its files; None for USD, which has no compounds."""
+def _write(folder: Path, name: str, scene: Scene) -> None:
+    """Write a scene as MJCF, and as USD unless it has compounds."""
     # A judge of motions does not need this extra.
     from gauge_envs.formats.usd import scene_stage
 
     save_file(folder / f"{name}.xml", scene_mjcf_text(scene, name, 0))
-    try:
+    with suppress(ParameterError):
         stage = scene_stage(scene)
-    except ParameterError:
-        return {"mjcf": f"{name}.xml", "usd": None}
-    save_file(folder / f"{name}.usda", stage.GetRootLayer().ExportToString())
-    return {"mjcf": f"{name}.xml", "usd": f"{name}.usda"}
+        save_file(folder / f"{name}.usda", stage.GetRootLayer().ExportToString())
 
 
 def judge_motions(folder: Path, only: Sequence[str]) -> EngineColumn:
@@ -185,15 +166,15 @@ def judge_motions(folder: Path, only: Sequence[str]) -> EngineColumn:
     hint = "write it with gauge backend check --export DIR"
     with reading(folder / TABLE, ResultFileError, "a table of checks", hint) as content:
         document = json_document(content)
-        entries = {check.id: document["checks"].get(check.id) for check in checks(only)}
+        table = document["checks"]
         column.versions = {"scenes": document["gauge_envs"]}
     for check in checks(only):
-        entry = entries[check.id]
+        entry = table.get(check.id)
         if entry is None:
             continue
         if entry["fingerprint"] != check.fingerprint:
             raise ResultFileError(f"{folder}: {check.id} has changed since; {hint}")
-        lab = _Judging([folder / f"{name}.csv" for name in entry["runs"]])
+        lab = _Scenes([folder / f"{name}.csv" for name in entry["runs"]])
         column.results[check.id] = replace(
             run_check(lab, check), backend=column.backend, versions=column.versions
         )
