@@ -194,11 +194,12 @@ class Here:
 def failed_tests(tmp_path, monkeypatch, capsys):
     """Return a function: messages of the failed tests by name, of pytest with an option of the plug-in."""
     monkeypatch.setattr(workers, "Worker", Here)
+    # The entry point may be that of another installed version.
+    monkeypatch.setenv("PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1")
     monkeypatch.chdir(tmp_path)
 
     def run(option, file):
-        # The entry point may be that of another installed version.
-        options = "-p no:gauge_pytest -p gauge_envs.pytest_plugin -p no:cacheprovider"
+        options = "-p gauge_envs.pytest_plugin -p no:cacheprovider"
         options += " -p no:faulthandler --junitxml out.xml --gauge-engine mujoco"
         options += f" --rootdir {tmp_path}"
         command = [*options.split(), option, file, "-k", "start- or time"]
