@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -311,11 +312,14 @@ class _VelocityOfCentre(Planted):
         for column, name in enumerate(names):
             body = self.given.body(name)
             if body.motion is Motion.DYNAMIC:
-                centre_m, _ = body_mass_properties(body)
+                centre_m, _ = _mass_properties(body)
                 for row in states[:, column]:
                     rotation = Rotation.from_quat(row[3:7], scalar_first=True)
                     row[7:10] += np.cross(row[10:], rotation.apply(centre_m))
         return states
+
+
+_mass_properties = cache(body_mass_properties)
 
 
 class _GravityInVelocity(Planted):

@@ -19,9 +19,9 @@ LAWS = {
         0.2,
     ),
     "cloth-shear": (cloth.upright_sheet(SHEARED_FABRIC), cloth.shear_stiffness, 0.15),
-    "foam-tension": (foam.hanging_bar(), foam.young, 0.25),
-    "foam-poisson": (foam.hanging_bar(), foam.poisson, 0.25),
-    "rod-bending": (rope.clamped_rod(), rope.rod_stiffness, 0.3),
+    "foam-tension": (foam.hanging_bar(foam.BAR, 0.0), foam.young, 0.25),
+    "foam-poisson": (foam.hanging_bar(foam.BAR, 0.0), foam.poisson, 0.25),
+    "rod-bending": (rope.clamped_rod(rope.BENT_RODS[0]), rope.rod_stiffness, 0.3),
 }
 """Scene, law, and settling time [s]."""
 

@@ -132,7 +132,6 @@ def test_the_example_gives_reasons_for_unsupported_scenes():
 SHORT = (
     "order-*",
     "start*",
-    "reset-*",
     "worlds-shapes",
     "rebound-*",
     "oblique-*",

@@ -90,7 +90,7 @@ def test_the_tests_that_a_guide_runs_exist(page):
 @guide("adding_a_check.md")
 def test_the_check_passes_and_is_the_only_one_that_its_fault_fails(parts, monkeypatch):
     module, names = parts
-    monkeypatch.setattr(catalog, "MODULES", [*catalog.MODULES, module.check])
+    monkeypatch.setattr(catalog, "MODULES", [*catalog.MODULES, module])
     listed, ran = (
         outputs("adding_a_check.md", "gauge list"),
         outputs("adding_a_check.md", "gauge backend check mujoco "),

@@ -15,6 +15,7 @@ from gauge_envs.tools.conformance import (
     grip,
     hinge,
     impact,
+    rebound,
     rest,
     restart,
     rope,
@@ -23,24 +24,25 @@ from gauge_envs.tools.conformance import (
 )
 from gauge_envs.tools.conformance.model import Check
 
-MODULES = [
-    contract.check,
-    free_motion.check,
-    forces.check,
-    hinge.check,
-    restart.check,
-    batches.check,
-    slide.check,
-    grip.check,
-    seams.check,
-    drive.check,
-    rest.check,
-    impact.check,
-    cloth.check,
-    foam.check,
-    rope.check,
-]
-"""Checks of each module."""
+MODULES = (
+    contract,
+    free_motion,
+    forces,
+    hinge,
+    restart,
+    batches,
+    slide,
+    grip,
+    seams,
+    drive,
+    rest,
+    rebound,
+    impact,
+    cloth,
+    foam,
+    rope,
+)
+"""Modules of checks, from simple to compound."""
 
 FIRST = ("determinism", "contact-listed")
 """Checks that run first, since their failures make other results worthless."""
@@ -52,14 +54,13 @@ def checks(only: Sequence[str] = ()) -> tuple[Check, ...]:
     Raises:
         UnknownNameError: A pattern matches no check.
     """
-    listed = [check for module in MODULES for check in module.registered]
+    listed = [check for module in MODULES for check in module.check.registered]
     known = sorted(listed, key=lambda check: check.id not in FIRST)
     ids = [check.id for check in known]
-    for pattern in only:
-        if not any(fnmatchcase(name, pattern) for name in ids):
+    chosen: set[str] = set()
+    for pattern in only or ["*"]:
+        matches = [name for name in ids if fnmatchcase(name, pattern)]
+        if not matches:
             raise UnknownNameError("check", pattern, ids)
-    return tuple(
-        check
-        for check in known
-        if not only or any(fnmatchcase(check.id, pattern) for pattern in only)
-    )
+        chosen.update(matches)
+    return tuple(check for check in known if check.id in chosen)

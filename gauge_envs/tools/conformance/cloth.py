@@ -107,9 +107,9 @@ def hanging_strip(made_of: Fabric, depth_m: float = 0.0, *, axis: Axis = "x") ->
 
 def stretch_stiffness(
     rollout: Recording,
-    name: str = "cloth",
-    start_s: float = HANG_SETTLED_S,
-    end_s: float = math.inf,
+    name: str,
+    start_s: float,
+    end_s: float,
 ) -> Measurement:
     """Measure K_s [N/m] from the sag of a strip, a width or more from its clamp: u = rho g (L s - s^2/2) / K_s."""
     cloth, depth_m, rest, moved = equilibrium(rollout, name, start_s, end_s)

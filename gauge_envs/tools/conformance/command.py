@@ -13,6 +13,7 @@ from gauge_envs.cli.output import (
     LINE_INTERVAL_S,
     Format,
     Progress,
+    echo,
     message,
     print_document,
     print_json_lines,
@@ -50,13 +51,13 @@ def list_checks(patterns: Sequence[str]) -> list[Table]:
 
 def backend_check(
     names: Annotated[
-        list[str],
+        list[str] | None,
         typer.Argument(
             metavar="NAME",
             help="Engines. ENGINE:CONFIGURATION is one of the solvers and presets that an engine declares, as "
             "mujoco:PGS; patterns as 'mujoco:*' and '*:*' are all.",
         ),
-    ],
+    ] = None,
     only: arguments.Only = None,
     changes: arguments.Settings = None,
     timeout: Annotated[
@@ -88,6 +89,23 @@ def backend_check(
             metavar="FILE",
         ),
     ] = None,
+    export: Annotated[
+        Path | None,
+        arguments.option(
+            arguments.OUTPUT,
+            "Write the scenes of checks of rigid bodies as MJCF and USD, and their laws as checks.json. No engine is "
+            "judged.",
+            metavar="DIR",
+        ),
+    ] = None,
+    judge: Annotated[
+        Path | None,
+        arguments.option(
+            arguments.SELECTION,
+            "A folder of --export with a CSV file of the motion in each scene: judge these in place of an engine.",
+            metavar="DIR",
+        ),
+    ] = None,
     form: arguments.Form = Format.TEXT,
 ) -> bool:
     """Check engines against closed forms, with the most likely cause of each failure.
@@ -100,6 +118,11 @@ def backend_check(
     from gauge_envs.tools.conformance import checks
     from gauge_envs.tools.conformance.results import engine_columns, write_columns
 
+    if not names:
+        others = (changes, timeout, memory, isolate, out, baseline, expected)
+        return _of_files(export, judge, only or (), form, has_others=any(others))
+    if export or judge:
+        raise ParameterError("--export and --judge run no engine: leave out NAME")
     if misplaced := sorted({check.id for check in checks()}.intersection(names)):
         raise ParameterError(
             f"{misplaced[0]!r} is a check and no backend: choose it by --only {misplaced[0]}"
@@ -130,6 +153,33 @@ def backend_check(
     _check_settings(columns)
     _print(columns, form)
     return _is_unexpected(columns, expectation)
+
+
+def _of_files(
+    export: Path | None,
+    judge: Path | None,
+    only: Sequence[str],
+    form: Format,
+    *,
+    has_others: bool,
+) -> bool:
+    """Write scenes of checks, or judge their motions; return whether a check failed or nothing was measured."""
+    from gauge_envs.pages.text import counted
+    from gauge_envs.tools.conformance.files import export_scenes, judge_motions
+
+    if has_others or (export is None) == (judge is None):
+        raise ParameterError(
+            "give engines, as in gauge backend check mujoco; or --export DIR or --judge DIR, with --only and --format"
+        )
+    if export is not None:
+        echo(f"{counted(len(export_scenes(export, only)), 'check')} in {export}")
+        return False
+    assert judge is not None
+    column = judge_motions(judge, only)
+    if form is Format.JSON:
+        print_json_lines(result.to_dict() for result in column.results.values())
+    _print([column], form)
+    return _is_unexpected([column], None)
 
 
 def _expectation(

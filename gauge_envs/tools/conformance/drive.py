@@ -81,9 +81,7 @@ def _blocks(lab: Lab) -> Recording:
         drivers.append(
             Driver(body=name, motions=(rotation, move), provenance="nominal")
         )
-    return lab.rollout(
-        Scene(bodies=tuple(blocks), drivers=tuple(drivers), duration_s=2.6)
-    )
+    return lab.run(blocks, (), 2.6, drivers=tuple(drivers))
 
 
 def _asked(rollout: Recording, name: str) -> FloatArray:

@@ -81,14 +81,14 @@ def _foam_start(lab: Lab) -> Measurement:
 SETTLED_S, HUNG_S = 0.25, 0.6
 
 
-def hanging_bar(bar: SoftBody = BAR, depth_m: float = 0.0) -> Scene:
+def hanging_bar(bar: SoftBody, depth_m: float) -> Scene:
     """Return a bar that hangs from its upper face, or from a part of its length."""
     region = Region(axis="z", side="high", depth_m=depth_m)
     return clamped(bar, region, duration_s=HUNG_S)
 
 
 def _hanging(lab: Lab) -> Recording:
-    bars = (hanging_bar(), hanging_bar(OTHER_BAR, 0.055))
+    bars = (hanging_bar(BAR, 0.0), hanging_bar(OTHER_BAR, 0.055))
     return lab.rollout(side_by_side(bars, HUNG_S - SETTLED_S))
 
 

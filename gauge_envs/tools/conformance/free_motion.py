@@ -119,8 +119,7 @@ def _glide(lab: Lab) -> Recording:
         thrown(ball(f"ball of {rate:g} rad/s", (2.0, 0.0, 1.0)), ZERO, rate * LEVEL)
         for rate in RATES_RAD_PER_S
     ]
-    scene = Scene(bodies=tuple(balls), duration_s=2.6, gravity_m_per_s2=0.0)
-    return lab.rollout(scene)
+    return lab.run(balls, (), 2.6, gravity_m_per_s2=0.0)
 
 
 @check(
@@ -202,8 +201,7 @@ def _flight(lab: Lab, gravity: float, speed: float, spin: float) -> Recording:
         )
         for at, each in enumerate(solids(lab))
     ]
-    scene = Scene(bodies=tuple(bodies), duration_s=0.5, gravity_m_per_s2=gravity)
-    return lab.rollout(scene)
+    return lab.run(bodies, (), 0.5, gravity_m_per_s2=gravity)
 
 
 @check(

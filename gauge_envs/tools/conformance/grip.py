@@ -19,7 +19,7 @@ from gauge_envs.fixtures.recording import Recording
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G, Scene
 from gauge_envs.scene.geometry import FloatArray, length_of
 from gauge_envs.scoring.estimators import acceleration_m_per_s2
-from gauge_envs.tools.conformance.lab import Lab, Measurement, largest_mm
+from gauge_envs.tools.conformance.lab import Lab, Measurement, largest, largest_mm
 from gauge_envs.tools.conformance.model import Checks, Level, Tolerance
 
 check = Checks(Level.CONTACT)
@@ -115,20 +115,21 @@ def push_holds(lab: Lab) -> Measurement:
         for push, moved_m in lab.once(_pushed).items()
         if push.share < 1.0
     }
-    worst = max(moved, key=lambda push: moved[push])
-    hint = f"the {worst} moves by {moved[worst]:.3g} mm in 1 s"
-    return Measurement(measured=moved[worst], hint=hint, cause=_cause(moved))
+    worst = largest({str(push): mm for push, mm in moved.items()}, "mm in 1 s")
+    return replace(worst, cause=_cause(moved))
 
 
 def _cause(moved_mm: dict[_Push, float]) -> str:
     """Return the cause from which cubes slide and which creep; empty for that of the check."""
     # A cube without the pressing force in its limit slides by metres.
     slides = [push for push, mm in moved_mm.items() if mm > 20.0]
-    if slides and all(push.press for push in slides):
+    if not slides:
+        return ""
+    if all(push.press for push in slides):
         return "friction does not follow a force that presses on the body"
-    if slides and all(push.weights for push in slides):
+    if all(push.weights for push in slides):
         return "friction does not follow the weight of the bodies on it"
-    return "its friction is less than that of the pair" if slides else ""
+    return "its friction is less than that of the pair"
 
 
 @check(
@@ -217,8 +218,6 @@ def grasp(lab: Lab) -> Measurement:
         moved = from_pads_m(lab.rollout(scene, wrenches=wrenches))
         first = round(SETTLED_S / HELD_S * (len(moved) - 1))
         creeps[name] = 1e3 * length_of(moved[-1] - moved[first]) / (HELD_S - SETTLED_S)
-    worst = max(creeps, key=lambda name: creeps[name])
-    falls = 0.1e3 * G * HELD_S
-    cause = "the pads do not hold it at all" if creeps[worst] > falls else ""
-    hint = f"{worst}: it creeps by {creeps[worst]:.3g} mm/s"
-    return Measurement(measured=creeps[worst], hint=hint, cause=cause)
+    falls = max(creeps.values()) > 0.1e3 * G * HELD_S
+    cause = "the pads do not hold it at all" if falls else ""
+    return replace(largest(creeps, "mm/s"), cause=cause)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from copy import deepcopy
 from dataclasses import dataclass, replace
@@ -22,7 +22,7 @@ from gauge_envs.errors import (
     UnsupportedSceneError,
 )
 from gauge_envs.fixtures.recording import Recording, UnsupportedError, raised_at, record
-from gauge_envs.scene import Motion, Scene, Sphere
+from gauge_envs.scene import Contact, Motion, RigidBody, Scene, Sphere
 from gauge_envs.scene.diff import scene_changes
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
 
@@ -215,6 +215,18 @@ class Lab:
                 push(simulation, name, wrench)
             return record(simulation, scene, whole_s, interval_s=interval_s)
 
+    def run(
+        self,
+        bodies: Iterable[RigidBody],
+        contacts: Iterable[Contact],
+        seconds: float,
+        **more: Any,
+    ) -> Recording:
+        """Record bodies with contacts for some seconds; `more` are further arguments of `Scene`."""
+        return self.rollout(
+            Scene(bodies=(*bodies,), contacts=(*contacts,), duration_s=seconds, **more)
+        )
+
     def once(self, function: Callable[[Lab], T]) -> T:
         """Return the value of a function of the lab, which is called only once.
 
@@ -269,7 +281,7 @@ def ratio(ratios: Mapping[str, float], what: str) -> Measurement:
         name: abs(value - 1.0) if np.isfinite(value) else np.inf
         for name, value in ratios.items()
     }
-    worst = max(errors, key=lambda name: errors[name])
+    worst = max(errors, key=errors.__getitem__)
     right = [name for name, error in errors.items() if error < 0.1 * errors[worst]]
     hint = f"{what} is {ratios[worst]:.4g} times what it should be for {worst}"
     if len(right) > 3:
@@ -295,7 +307,7 @@ def largest(
     worst = max(errors, key=lambda case: np.nan_to_num(errors[case], nan=np.inf))
     error = errors[worst]
     left = mistakes.get(worst, {})
-    nearest = min(left, key=lambda text: left[text], default="")
+    nearest = min(left, key=left.__getitem__, default="")
     is_explained = nearest in left and left[nearest] <= 0.03 * error
     return Measurement(
         measured=error,

@@ -93,7 +93,11 @@ def engine_document(results: Sequence[CheckResult]) -> Document:
     if "rigid" in verdicts:
         parts.append(Paragraph(NOT_IN_RIGID, Tone.NOTE))
     parts += [Paragraph(f"Likely: {text}.") for text in likely_causes(results)]
-    failures = sorted((result for result in results if result.is_bad), key=_urgency)
+    # Failures that make other results worthless come first.
+    failures = sorted(
+        (result for result in results if result.is_bad),
+        key=lambda result: (result.check not in FIRST, result.status != Status.ERROR),
+    )
     columns = (
         Column("", "check", lambda result: f"{result.of.title} ({result.check})"),
         Column("", "expected", expected_text),
@@ -103,7 +107,12 @@ def engine_document(results: Sequence[CheckResult]) -> Document:
             lambda result: f"{_measured_text(result)} {result.status}".lstrip(),
             style=lambda result: STYLES.get(result.status, ""),
         ),
-        Column("", "", _reason, place=Place.BELOW),
+        Column(
+            "",
+            "",
+            lambda result: "; ".join(result.missing) or result.diagnosis,
+            place=Place.BELOW,
+        ),
     )
     if failures:
         parts.append(Table(columns=columns, rows=failures[:MAX_FAILURES]))
@@ -111,17 +120,6 @@ def engine_document(results: Sequence[CheckResult]) -> Document:
     everything = Table(columns=columns, rows=results, wide_only=True)
     rows = (result.to_dict() for result in results)
     return Document(parts=(*parts, everything), rows=rows)
-
-
-def _urgency(result: CheckResult) -> int:
-    """Return the rank of a failure; failures that make other results worthless come first."""
-    if result.check in FIRST:
-        return FIRST.index(result.check)
-    return len(FIRST) + (result.status is not Status.ERROR)
-
-
-def _reason(result: CheckResult) -> str:
-    return "; ".join(result.missing) or result.diagnosis
 
 
 def _notes(

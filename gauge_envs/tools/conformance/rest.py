@@ -80,7 +80,6 @@ PRISM = ConvexUnion(
         corners((-0.02, -0.025, 0.02), (0.03, 0.02, 0.025)),
     )
 )
-UPRIGHT, UPSIDE_DOWN = (0.0, 0.0, 0.0), (180.0, 0.0, 0.0)
 SOLIDS = {
     "box": _Solid(Box(size_m=(0.06, 0.05, 0.04)), 0.02),
     "sphere": _Solid(Sphere(radius_m=0.02), 0.02),
@@ -88,7 +87,7 @@ SOLIDS = {
     "lying cylinder": _Solid(
         Cylinder(radius_m=0.025, length_m=0.08), 0.025, (90.0, 0.0, 0.0)
     ),
-    "convex solid": _Solid(PRISM, 0.0175, UPRIGHT, (0.005, -0.0025, 0.0075)),
+    "convex solid": _Solid(PRISM, 0.0175, centre_m=(0.005, -0.0025, 0.0075)),
 }
 SUPPORTS = {
     "plane": _Solid(Plane(), 0.0),
@@ -101,7 +100,7 @@ SUPPORTS = {
         Cylinder(radius_m=0.05, length_m=0.12), 0.05, (0.0, 90.0, 0.0)
     ),
     "convex solid": SOLIDS["convex solid"],
-    "turned solid": _Solid(PRISM, 0.0175, UPSIDE_DOWN, (0.005, 0.0025, -0.0075)),
+    "turned solid": _Solid(PRISM, 0.0175, (180.0, 0.0, 0.0), (0.005, 0.0025, -0.0075)),
 }
 REST_S, SHIFT_MM = 0.2, 0.2
 FALL_M = 0.5 * G * REST_S**2
@@ -278,13 +277,11 @@ def _alone(shape: Capsule | Ellipsoid) -> Compound:
     return Compound(parts=(Part(shape=shape, pose=Pose(position_m=(0.0, 0.0, 0.0))),))
 
 
-CAPSULE = _alone(Capsule(radius_m=0.02, length_m=0.06))
-ELLIPSOID = _alone(Ellipsoid(radii_m=(0.03, 0.04, 0.02)))
-THICK_ELLIPSOID = _alone(Ellipsoid(radii_m=(0.06, 0.08, 0.05)))
-THICK_CAPSULE = _alone(Capsule(radius_m=0.05, length_m=0.1))
 FURTHER = SOLIDS | {
-    "capsule": _Solid(CAPSULE, 0.02, (90.0, 0.0, 30.0)),
-    "ellipsoid": _Solid(ELLIPSOID, 0.02),
+    "capsule": _Solid(
+        _alone(Capsule(radius_m=0.02, length_m=0.06)), 0.02, (90.0, 0.0, 30.0)
+    ),
+    "ellipsoid": _Solid(_alone(Ellipsoid(radii_m=(0.03, 0.04, 0.02))), 0.02),
     "compound on its second part": _Solid(COMPOUND, 0.025, centre_m=(0.0, 0.0, 0.005)),
     "box of 2 mm": _Solid(Box(size_m=(0.002, 0.002, 0.002)), 0.001),
     "box of 5 mm": _Solid(Box(size_m=(0.005, 0.005, 0.005)), 0.0025),
@@ -296,8 +293,10 @@ UNDER = SUPPORTS | {
         PRISM, 0.0225, (90.0, 0.0, 0.0), (0.005, -0.0075, -0.0025)
     ),
     "box on its side": _Solid(Box(size_m=(0.06, 0.14, 0.12)), 0.03, (0.0, 90.0, 35.0)),
-    "capsule": _Solid(THICK_CAPSULE, 0.05, (90.0, 0.0, 20.0)),
-    "ellipsoid": _Solid(THICK_ELLIPSOID, 0.05),
+    "capsule": _Solid(
+        _alone(Capsule(radius_m=0.05, length_m=0.1)), 0.05, (90.0, 0.0, 20.0)
+    ),
+    "ellipsoid": _Solid(_alone(Ellipsoid(radii_m=(0.06, 0.08, 0.05))), 0.05),
     "compound": _Solid(COMPOUND, 0.025, centre_m=(0.0, 0.0, 0.005)),
 }
 ODD = [
@@ -433,17 +432,13 @@ def _boxes_at(
     masses_kg: Iterable[float] = repeat(0.3),
 ) -> Recording:
     """Return the recording of boxes over a plane, which touch it and each other."""
-    boxes = tuple(
+    boxes = [
         box(f"box {index} of {mass_kg:g} kg", place, size_m, mass_kg=mass_kg)
         for index, (place, mass_kg) in enumerate(zip(places_m, masses_kg, strict=False))
-    )
+    ]
     names = tuple(body.name for body in boxes)
-    contacts = tuple(
-        contact(names, partners, friction=0.4) for partners in (names, "ground")
-    )
-    return lab.rollout(
-        Scene(bodies=(*boxes, ground()), contacts=contacts, duration_s=seconds)
-    )
+    contacts = [contact(names, other, friction=0.4) for other in (names, "ground")]
+    return lab.run((*boxes, ground()), contacts, seconds)
 
 
 def _stands(
@@ -457,7 +452,7 @@ def _stands(
         turned_mm = 50.0 * float((turns[late] * turns[0].inv()).magnitude().max())
         shifted_mm = largest_mm(rollout.displacement(solid.name)[late, axes])
         moved_mm[solid.name] = max(shifted_mm, turned_mm)
-    worst = max(moved_mm, key=lambda name: moved_mm[name])
+    worst = max(moved_mm, key=moved_mm.__getitem__)
     moving = [name for name, mm in moved_mm.items() if not mm < SCATTER_MM]
     down_mm = -1e3 * rollout.displacement(worst)[-1, 2]
     hint = f"{len(moving)} of {len(moved_mm)} boxes move, {worst} moves by {moved_mm[worst]:.3g} mm"

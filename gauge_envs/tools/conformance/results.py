@@ -190,16 +190,13 @@ def write_columns(columns: Sequence[EngineColumn], path: Path) -> Path:
     for column in columns:
         values = {key: getattr(column, key) for key in ABOUT}
         values["results"] = {
-            name: _stored(entry) for name, entry in column.results.items()
+            name: {"fingerprint": result.of.fingerprint}
+            | {key: getattr(result, key) for key in STORED}
+            for name, result in column.results.items()
         }
         rows.append(json.dumps(json_ready(values), ensure_ascii=False))
     text = ",\n".join(rows)
     return save_file(path, f'{{"kind": "{KIND}", "columns": [\n{text}\n]}}\n')
-
-
-def _stored(result: CheckResult) -> dict[str, Any]:
-    outcome = {key: getattr(result, key) for key in STORED}
-    return {"fingerprint": result.of.fingerprint, **outcome}
 
 
 def read_columns(path: Path) -> list[EngineColumn]:

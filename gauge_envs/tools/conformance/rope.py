@@ -158,7 +158,7 @@ BENT_RODS = tuple(
 """Rods that sag by 2.5 mm at a fifth of gravity, with a period of 0.18 s."""
 
 
-def clamped_rod(rod: Rope | Rod = BENT_RODS[0]) -> Scene:
+def clamped_rod(rod: Rope | Rod) -> Scene:
     """Return a horizontal rod clamped at one end, at a fifth of gravity."""
     clamp = Region(axis="z", side="low", depth_m=CLAMP_M)
     return clamped(rod, clamp, duration_s=BENT_S, gravity_m_per_s2=0.2 * G)

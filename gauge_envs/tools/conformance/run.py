@@ -138,9 +138,9 @@ def _judged(result: CheckResult, measurement: Measurement) -> CheckResult:
 
 def _diagnosis(measurement: Measurement, usual_cause: str) -> str:
     """Return the meaning of a failure, and its cause: that of the measurement, or the most likely one of the check."""
-    if measurement.cause:
-        return ": ".join(filter(None, (measurement.hint, measurement.cause)))
-    return "; ".join(filter(None, (measurement.hint, usual_cause)))
+    separator = ": " if measurement.cause else "; "
+    cause = measurement.cause or usual_cause
+    return separator.join(filter(None, (measurement.hint, cause)))
 
 
 def _error_text(error: BaseException) -> str:

@@ -170,7 +170,7 @@ def _off_law(
         )
         is_caught = hop_mm > HOP_MM or ends < law - SLOWER * speed
         causes[each.name] = SEAM if is_caught else UNEVEN
-    worst = max(off_mm, key=lambda name: off_mm[name])
+    worst = max(off_mm, key=off_mm.__getitem__)
     alone_mm = max(mm for name, mm in off_mm.items() if name.startswith("one box"))
     cause = causes[worst]
     if alone_mm > WITHIN.absolute:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -24,7 +24,6 @@ from gauge_envs.scene import (
     Cylinder,
     Pose,
     RigidBody,
-    Scene,
     Shape,
     Sphere,
     mass_properties,
@@ -32,7 +31,13 @@ from gauge_envs.scene import (
 from gauge_envs.scene.geometry import vector
 from gauge_envs.scoring.estimators import acceleration_m_per_s2
 from gauge_envs.tools.conformance.drive import CUBE_M, unless_off, worst_friction
-from gauge_envs.tools.conformance.lab import Lab, Measurement, largest_mm, ratio
+from gauge_envs.tools.conformance.lab import (
+    Lab,
+    Measurement,
+    largest,
+    largest_mm,
+    ratio,
+)
 from gauge_envs.tools.conformance.model import Checks, Level, Tolerance
 
 check = Checks(Level.CONTACT)
@@ -86,14 +91,19 @@ def pucks_friction(lab: Lab) -> Measurement:
         puck = body(name, shape, Pose.from_euler_deg(place, (0.0, 0.0, yaw_deg)))
         direction = Rotation.from_euler("z", direction_deg, degrees=True)
         bodies.append(thrown(puck, direction.apply([speed, 0.0, 0.0])))
-    rollout = lab.rollout(
-        Scene(bodies=tuple(bodies), contacts=tuple(contacts), duration_s=0.4)
-    )
+    frictions = {name: friction for name, (*_, friction, _) in PUCKS.items()}
+    return _slowed(lab.run(bodies, contacts, 0.4), frictions, "slab")
+
+
+def _slowed(
+    rollout: Recording, frictions: Mapping[str, float], support: str
+) -> Measurement:
+    """Measure the worst friction of bodies that slide on a level support, from their deceleration."""
     slides = {}
-    for name, (*_, friction, _) in PUCKS.items():
+    for name, friction in frictions.items():
         path_m = np.linalg.norm(rollout.displacement(name), axis=1)
         slows = -acceleration_m_per_s2(rollout.times_s, path_m)
-        slides[name] = (slows / G, friction, "slab")
+        slides[name] = (slows / G, friction, support)
     return worst_friction(rollout, slides)
 
 
@@ -123,16 +133,9 @@ def slide_crowd(lab: Lab) -> Measurement:
             f"puck at {360 // CROWD * at} degrees", PUCK, Pose(position_m=place)
         )
         pucks.append(thrown(puck, CROWD_M_PER_S * way))
-    names = tuple(puck.name for puck in pucks)
-    touch = contact(names, "ground", friction=CROWD_FRICTION)
-    scene = Scene(bodies=(*pucks, ground()), contacts=(touch,), duration_s=0.3)
-    rollout = lab.rollout(scene)
-    slides = {}
-    for name in names:
-        path_m = np.linalg.norm(rollout.displacement(name), axis=1)
-        slows = -acceleration_m_per_s2(rollout.times_s, path_m)
-        slides[name] = (slows / G, CROWD_FRICTION, "ground")
-    return worst_friction(rollout, slides)
+    frictions = {puck.name: CROWD_FRICTION for puck in pucks}
+    touch = contact((*frictions,), "ground", friction=CROWD_FRICTION)
+    return _slowed(lab.run((*pucks, ground()), [touch], 0.3), frictions, "ground")
 
 
 # --- boxes on slopes -------------------------------------------------------------------------------------------------
@@ -192,8 +195,7 @@ def _boxes(lab: Lab) -> Recording:
         bodies[name] = body(name, shape, pose, mass_kg=mass_kg)
         contacts.append(contact(name, support, friction=friction))
     # Supports come last.
-    order = tuple(bodies.values())[::-1]
-    return lab.rollout(Scene(bodies=order, contacts=tuple(contacts), duration_s=0.5))
+    return lab.run([*bodies.values()][::-1], contacts, 0.5)
 
 
 @check(
@@ -216,12 +218,11 @@ def hold(lab: Lab) -> Measurement:
     """
     rollout = lab.once(_boxes).cut(0.0, 0.3)
     moved_mm = {name: largest_mm(rollout.displacement(name)) for name in HOLDING}
-    worst = max(moved_mm, key=lambda name: moved_mm[name])
-    hint, cause = f"the {worst} moves by {moved_mm[worst]:.3g} mm", ""
+    worst, cause = max(moved_mm, key=moved_mm.__getitem__), ""
     # After half the time a body that slides is at a quarter, and one that creeps at a half.
     if largest_mm(rollout.displacement(worst)[:28]) < 0.35 * moved_mm[worst]:
         cause = "it slides, so that its friction is less than that of the pair"
-    measurement = Measurement(measured=moved_mm[worst], hint=hint, cause=cause)
+    measurement = replace(largest(moved_mm, "mm"), cause=cause)
     return unless_off(measurement, rollout, {worst: HOLDING[worst][1]})
 
 
@@ -340,8 +341,8 @@ def spinning_top(lab: Lab) -> Measurement:
     start = replace(frame, position_m=vector(place))
     top = thrown(body("top", TOP, start, mass_kg=TOP_KG), velocity, spin)
     touch = contact("top", "ground", friction=0.0)
-    scene = Scene(bodies=(top, ground()), contacts=(touch,), duration_s=TOP_S)
-    axes = lab.rollout(scene).rotation("top").apply((0.0, 0.0, 1.0))
+    rollout = lab.run((top, ground()), [touch], TOP_S)
+    axes = rollout.rotation("top").apply((0.0, 0.0, 1.0))
     angles = np.unwrap(np.arctan2(axes[:, 1], axes[:, 0]))
     leans = np.arccos(np.clip(axes[:, 2], -1.0, 1.0))
     ratios = {
@@ -383,9 +384,7 @@ def roll_ball(lab: Lab) -> Measurement:
         start = vector(LEANING.to_world(np.array([0.0, 0.3 * len(bodies), 0.03])))
         bodies.append(body(name, shape, Pose.from_rotation(start, frame)))
         contacts.append(contact(name, "ground", friction=0.5))
-    rollout = lab.rollout(
-        Scene(bodies=tuple(bodies), contacts=tuple(contacts), duration_s=0.6)
-    )
+    rollout = lab.run(bodies, contacts, 0.6)
     shares = {}
     for name, (_, share) in ROLLERS.items():
         rate = acceleration_downhill_m_per_s2(rollout, name, "ground", start_s=0.1)

@@ -3,8 +3,6 @@
 import json
 import math
 import re
-import subprocess
-import sys
 from dataclasses import replace
 from xml.etree import ElementTree
 
@@ -13,6 +11,7 @@ from faults import FAULTS, Faulty
 
 from gauge_envs.backends import Support, backend, registry
 from gauge_envs.errors import ParameterError, ResultFileError
+from gauge_envs.runs import workers
 from gauge_envs.tools.conformance import Status
 from gauge_envs.tools.conformance.expectations import StoredBaseline, read_baseline
 from gauge_envs.tools.conformance.report import comparison
@@ -22,8 +21,10 @@ from gauge_envs.tools.conformance.results import (
     run_column,
     write_columns,
 )
+from gauge_envs.tools.conformance.run import run_check
 
 FIND = "gauge_envs.tools.conformance.run.find_backend"
+RUN = "gauge_envs.tools.conformance.run.run_check"
 ONLY = ("--only", "slide", "--only", "free-fall", "--only", "cloth-stretch")
 
 
@@ -32,11 +33,25 @@ class KnowsNoCloth(Faulty):
         return Support(("it knows no cloth",) if scene.deformables else ())
 
 
+@pytest.fixture(scope="module")
+def measured():
+    """Each check of `mine` runs once for all tests."""
+    results = {}
+
+    def run(lab, check):
+        if check.id not in results:
+            results[check.id] = run_check(lab, check)
+        return results[check.id]
+
+    return run
+
+
 @pytest.fixture
-def broken(monkeypatch, gauge):
+def broken(monkeypatch, gauge, measured):
     """Run the command on `mine`, an engine with 20 % too little friction and without cloth."""
     engine = KnowsNoCloth(backend("mujoco"), FAULTS["friction 20 % low"])
     engine.name = "mine"
+    monkeypatch.setattr(RUN, measured)
     monkeypatch.setattr(registry, "is_bundled", lambda name: True)
     results = "gauge_envs.tools.conformance.results.backend_names"
     monkeypatch.setattr(results, lambda: ["mine"])
@@ -165,18 +180,30 @@ def test_a_wrong_list_is_rejected_before_anything_runs(broken, tmp_path, text, m
     assert message in joined(result.stderr)
 
 
+class Here:
+    """A worker that calls in this process."""
+
+    def __init__(self, time_limit_s):
+        self.close = lambda: None
+
+    def call(self, function, *arguments):
+        return function(*arguments)
+
+
 @pytest.fixture
-def failed_tests(tmp_path):
+def failed_tests(tmp_path, monkeypatch, capsys):
     """Return a function: messages of the failed tests by name, of pytest with an option of the plug-in."""
+    monkeypatch.setattr(workers, "Worker", Here)
+    # The entry point may be that of another installed version.
+    monkeypatch.setenv("PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1")
+    monkeypatch.chdir(tmp_path)
 
     def run(option, file):
-        # The entry point may be that of another installed version.
-        options = "-p no:gauge_pytest -p gauge_envs.pytest_plugin -p no:cacheprovider"
-        options += " --junitxml out.xml --gauge-engine mujoco"
-        command = [sys.executable, "-m", "pytest", *options.split(), option, file]
-        command += ["-k", "start- or time"]
-        done = subprocess.run(command, cwd=tmp_path, capture_output=True, check=False)
-        assert done.returncode == 1, done.stdout
+        options = "-p gauge_envs.pytest_plugin -p no:cacheprovider"
+        options += " -p no:faulthandler --junitxml out.xml --gauge-engine mujoco"
+        options += f" --rootdir {tmp_path}"
+        command = [*options.split(), option, file, "-k", "start- or time"]
+        assert pytest.main(command) == pytest.ExitCode.TESTS_FAILED
         cases = list(ElementTree.parse(tmp_path / "out.xml").iter("testcase"))
         assert len(cases) > 2
         failures = {case.get("name"): case.find("failure") for case in cases}
@@ -320,10 +347,9 @@ def test_results_so_far_are_in_the_file_where_a_run_is_stopped(
     from gauge_envs.tools.conformance import command
 
     file = tmp_path / "part.json"
-    run = command._run
 
     def stopped(column, chosen, worker):
-        yield next(run(column, chosen, worker))
+        yield next(run_column(column, chosen, None))
         raise KeyboardInterrupt
 
     monkeypatch.setattr(command, "_run", stopped)
