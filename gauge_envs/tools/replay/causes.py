@@ -51,7 +51,8 @@ class ParameterGroup:
     """Values of a cause that change together.
 
     Attributes:
-        label: `all` for a common number, `each` for several numbers, the text of an option without numbers.
+        label: `one` for a single value, `all` for a common number, `each` for several numbers, the text of an option
+            without numbers.
         selection: Which number moves each value, shape [K, p].
     """
 
@@ -61,7 +62,7 @@ class ParameterGroup:
 
 def groups_of_one(count: int, size: int = 1) -> list[ParameterGroup]:
     """Return a group of each value, or of `size` neighbours with a number each."""
-    label = "all" if size == 1 else "each"
+    label = "one" if size == 1 else "each"
     selections = np.split(np.eye(count), count // size, axis=1)
     return [ParameterGroup(label, selection) for selection in selections]
 
@@ -153,7 +154,7 @@ def candidates(replayer: Replayer, setup: Setup) -> list[Cause]:
     """Return the causes that a model and a log allow."""
     log = replayer.log
     samples = np.linspace(0, len(log.time_s) - 1, LOAD_SAMPLES).astype(int)
-    conditions, torques = replayer.conditions(setup, samples)
+    torques, is_touching = replayer.torques(setup, samples)
     # Torques and speeds of the joints that the log often has.
     load = np.maximum(np.percentile(np.abs(torques), 95, axis=0), 1e-4)
     speed = np.maximum(np.percentile(np.abs(log.velocity), 95, axis=0), 1e-3)
@@ -169,7 +170,7 @@ def candidates(replayer: Replayer, setup: Setup) -> list[Cause]:
         causes += _commands(replayer, setup, driven, load[driven])
         if setup.model.actuator_biasprm[replayer.actuator[driven], 1].any():
             causes += _gains(replayer, setup, driven, 0.3 * load[driven] / speed.max())
-    if (conditions == "contact").any():
+    if is_touching:
         causes += _contacts(setup)
     return causes
 
@@ -258,7 +259,7 @@ def _bodies(setup: Setup) -> list[Cause]:
     ends = np.union1d(0, np.flatnonzero(~np.isin(bodies, model.body_parentid[bodies])))
     # A tilt of the base turns gravity.
     tilts = [
-        ParameterGroup("all", np.eye(3)[:, 2:]),
+        ParameterGroup("one", np.eye(3)[:, 2:]),
         ParameterGroup("each", np.eye(3)[:, :2]),
         ParameterGroup("each", np.eye(3)),
     ]
