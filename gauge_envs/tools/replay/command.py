@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated
 
@@ -98,7 +99,8 @@ def replay(
     from gauge_envs.tools.replay.report import replay_document
 
     files = arguments.by_suffix(out, ".md", ".json")
-    mapped, paste, differs = read_map(map_), {}, False
+    mapped, differs = read_map(map_), False
+    paste: Mapping[str, str] = {}
     if fit:
         names, joints = (
             [part.strip() for part in text.split(",") if part] for text in (fit, joint)

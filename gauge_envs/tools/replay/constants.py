@@ -117,11 +117,12 @@ def fit_constants(
             slopes=np.zeros(0),
         )
         fit = _minimize(problems, fit)
-        is_known = np.asarray(fit.half_width) < MAX_WIDTH
-        if is_known.all():
+        width = np.asarray(fit.half_width)
+        if (width < MAX_WIDTH).all():
             return Constants(fit, _values(fit), unknown)
         kept = []
-        for (cause, group), known in fit.split(is_known):
+        for (cause, group), widths in fit.split(width):
+            known = widths < MAX_WIDTH
             for column in group.selection.T[~known]:
                 parameter = cause.parameters[int(np.argmax(column))]
                 unknown.append(f"{cause.name} of {parameter}")

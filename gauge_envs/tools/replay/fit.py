@@ -78,10 +78,10 @@ class Thresholds:
     near_noise: float = 0.5
     number_cost: float = 0.01
     max_groups: int = 3
-    max_refined: int = 12
+    max_refined: int = 10
     max_worse: float = 4.0
-    max_polished: int = 2
-    max_bases: int = 8
+    max_polished: int = 3
+    max_bases: int = 3
     max_predictions: int = 20
     min_gain: float = 0.002
     min_step: float = 1e-3
@@ -158,16 +158,6 @@ class Fit:
         sizes = [group.selection.shape[1] for _, group in self.terms]
         parts = np.split(numbers, np.cumsum(sizes)[:-1])
         return zip(self.terms, parts, strict=False)
-
-    def plus(self, other: Fit) -> Fit:
-        """Return a fit with the terms of another one, whose residuals are a change."""
-        return Fit(
-            terms=self.terms + other.terms,
-            numbers=np.append(self.numbers, other.numbers),
-            training=self.training + other.training,
-            slopes=np.concatenate([self.slopes, other.slopes], axis=-1),
-            reach=np.append(self.reach, other.reach),
-        )
 
     def linearize(self) -> Fit:
         """Return the fit with the step to the optimum of its linear model."""
@@ -263,7 +253,7 @@ class Problem:
 
     def still_equal(self, fits: Sequence[Fit], names: Sequence[str]) -> list[str]:
         """Return the names whose fits on these pieces are as good as the first one."""
-        limit = max(2.0 * self.excess(fits[0]), 0.0) + THRESHOLDS.near_noise
+        limit = 2.0 * max(self.excess(fits[0]), 0.0) + THRESHOLDS.max_excess_of_several
         found = {" and ".join(fit.names): fit for fit in fits[1:]}
         return [
             name for name in names if name in found and self.excess(found[name]) < limit
@@ -378,47 +368,48 @@ class Problem:
         return fit.error * (1.0 + THRESHOLDS.number_cost * len(fit.numbers))
 
 
-def try_cause(problem: Problem, cause: Cause) -> list[Fit]:
-    """Return the change of the residuals by each group of a cause, one for each start.
+def try_cause(problem: Problem, cause: Cause, base: Fit) -> list[Fit]:
+    """Return fits of a base and each group of a further cause, one for each start, with their residuals.
 
     A cause without starts begins at the present values. The changes of single values are added, as for linear
     residuals.
     """
+
+    def change(group: ParameterGroup, numbers: FloatArray) -> FloatArray:
+        moved = replace(base, terms=(*base.terms, (cause, group)))
+        numbers = np.append(base.numbers, numbers)
+        return problem.residuals(moved, numbers, 0) - base.training
+
+    def fit(
+        group: ParameterGroup, start: float, moved: FloatArray, slopes: FloatArray
+    ) -> Fit:
+        numbers = np.full(group.selection.shape[1], start)
+        return Fit(
+            terms=(*base.terms, (cause, group)),
+            numbers=np.append(base.numbers, numbers),
+            training=base.training + moved,
+            slopes=np.concatenate([base.slopes, slopes], axis=-1),
+            reach=np.append(base.reach, numbers * 0.0 + reach[row]),
+        )
+
     if not cause.parameters:
         (group,) = cause.groups
-        return [_change(problem, cause, group, NO_NUMBERS)]
+        row, reach = 0, np.zeros(1)
+        return [fit(group, 0.0, change(group, NO_NUMBERS), base.slopes[..., :0])]
     grid = np.sort(cause.starts or (0.0, THRESHOLDS.slope_step))
     singles = groups_of_one(len(cause.parameters))
-    moved = np.zeros((len(grid), *problem.before.training.shape, len(singles)))
+    moved = np.zeros((len(grid), *base.training.shape, len(singles)))
     for row in np.flatnonzero(grid).tolist():
         for column, group in enumerate(singles):
-            single = _change(problem, cause, group, grid[[row]])
-            moved[row, ..., column] = single.training
+            moved[row, ..., column] = change(group, grid[[row]])
     slopes, reach = np.gradient(moved, grid, axis=0), np.gradient(grid)
     if not cause.starts:
         grid, reach = np.zeros(1), np.full(1, np.inf)
     fits = []
     for row, group in product(range(len(grid)), cause.groups):
-        count = group.selection.shape[1]
-        fit = Fit(
-            terms=((cause, group),),
-            numbers=np.full(count, grid[row]),
-            training=moved[row] @ group.selection.sum(axis=1),
-            slopes=slopes[row] @ group.selection,
-            reach=np.full(count, reach[row]),
-        )
-        fits.append(fit)
+        total = moved[row] @ group.selection.sum(axis=1)
+        fits.append(fit(group, grid[row], total, slopes[row] @ group.selection))
     return fits
-
-
-def _change(
-    problem: Problem, cause: Cause, group: ParameterGroup, numbers: FloatArray
-) -> Fit:
-    """Return a fit whose training residuals are the change by one cause."""
-    before = problem.before
-    fit = replace(before, terms=((cause, group),), numbers=numbers)
-    training = problem.residuals(fit, numbers, 0) - before.training
-    return replace(fit, training=training, held_out=NO_NUMBERS)
 
 
 def _half_width(slopes: FloatArray, residuals: FloatArray) -> FloatArray:
@@ -442,17 +433,20 @@ def _half_width(slopes: FloatArray, residuals: FloatArray) -> FloatArray:
 
 
 def best_fits(
-    problem: Problem, bases: Sequence[Fit], changes: Sequence[Fit]
+    problem: Problem,
+    base: Fit,
+    causes: Sequence[Cause],
+    advance: Callable[[str], None] = lambda _: None,
 ) -> list[Fit]:
-    """Return the best fit of each further cause on top of each base, the best first.
+    """Return the best fit of each further cause on top of a base, the best first.
 
     A few fits are refined, and after one that reaches the noise only those that come near to it.
     """
-    promising = [
-        base.plus(change).linearize()
-        for base, change in product(bases, changes)
-        if change.names != base.names
-    ]
+    promising: list[Fit] = []
+    for cause in causes:
+        advance(cause.name)
+        if cause.name not in base.names:
+            promising += [fit.linearize() for fit in try_cause(problem, cause, base)]
     limit = np.inf
     fits: list[Fit] = []
     few = _few_by_cause(problem, promising, THRESHOLDS.max_groups)
@@ -577,11 +571,7 @@ def explain(
     """Return what explains the deviation of a log from the model: each cause alone, then several."""
     if _predicts(problem):
         return Explanation(problem)
-    changes: list[Fit] = []
-    for cause in causes:
-        advance(cause.name)
-        changes += try_cause(problem, cause)
-    fits = best_fits(problem, [problem.before], changes)
+    fits = best_fits(problem, problem.before, causes, advance)
     replayer, odd = problem.replayer, problem.odd_pieces(fits[0])
     if len(odd) and not len(replayer.left_out):
         replayer.leave_out(odd)
@@ -589,7 +579,7 @@ def explain(
         return explain(clean, causes, advance)
     alone = _few_by_cause(problem, fits, 1)
     names = _find_indistinguishable(problem, alone)
-    bases = [fit for fit in fits if fit.names[0] not in names]
+    bases = [fit for fit in alone if fit.names[0] not in names]
     judge = problem.lengthened(alone[0])
     alone = judge.judged(alone, names)
     names = judge.still_equal(alone, names)
@@ -599,7 +589,11 @@ def explain(
     several: Fit | None = None
     if judge.excess(alone[0]) > limit:
         advance("several together")
-        together = best_fits(problem, bases[: THRESHOLDS.max_bases], changes)
+        together: list[Fit] = []
+        for base in bases[: THRESHOLDS.max_bases]:
+            together += best_fits(problem, base, causes)
+            if min(map(problem.excess, together)) < THRESHOLDS.near_noise:
+                break
         together = _few_by_cause(problem, together, 1)
         pairs = _find_indistinguishable(problem, together)
         judge = problem.lengthened(together[0])

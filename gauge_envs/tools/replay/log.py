@@ -531,9 +531,10 @@ def noise_of(time_s: FloatArray, values: FloatArray) -> FloatArray:
     windows = sliding_window_view(values, NOISE_WINDOW, axis=0)
     places = (times - times[:, :1]) / np.ptp(times, axis=1, keepdims=True)
     # The last left singular vector of the powers 0 to 5 is orthogonal to every such polynomial, and of length 1.
+    places, kinds = np.unique(places.round(6), axis=0, return_inverse=True)
     powers = places[..., None] ** np.arange(NOISE_WINDOW - 1)
     weights = np.linalg.svd(powers)[0][..., -1]
-    residual = np.einsum("nw,njw->nj", weights, windows)
+    residual = np.einsum("nw,njw->nj", weights[kinds.ravel()], windows)
     return 1.4826 * np.median(np.abs(residual), axis=0)
 
 

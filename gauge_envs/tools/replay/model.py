@@ -300,7 +300,7 @@ class Replayer:
         # A rotation is twice the change of the quaternion.
         noise[3:6] = 2.0 * noise[3:].max(initial=0.0)
         gaps_s = np.diff(log.time_s, prepend=log.time_s[0])
-        self._breaks = np.cumsum(gaps_s > MAX_GAP * log.interval_s)
+        self._breaks: IntArray = np.cumsum(gaps_s > MAX_GAP * log.interval_s)
         self.left_out = np.zeros((0, 0), int)
         self.noise = np.concatenate(
             [
@@ -476,5 +476,5 @@ class Replayer:
             mujoco.mj_forward(model, data)
             torque = np.where(data.qfrc_actuator, data.qfrc_actuator, data.qfrc_bias)
             torques[place] = torque[self.dof]
-            is_touching |= data.ncon > 0
+            is_touching = is_touching or bool(data.ncon)
         return torques, is_touching

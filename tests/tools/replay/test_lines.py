@@ -186,6 +186,16 @@ def test_a_verdict_does_not_hang_on_how_a_log_is_written(
     check_equal(before, after)
 
 
+def test_losses_of_a_swing_are_named_together(frictions):
+    """Pieces of 0.25 s show dry friction alone; a long rollout needs damping too."""
+    _, line = frictions["swing"]
+    values = {each.cause: each.values[0].fitted for each in line.named}
+    assert values.keys() == {"dry friction", "damping"}
+    # MuJoCo's dry friction is soft at low speed.
+    assert values["dry friction"] == pytest.approx(0.004, rel=0.1)
+    assert values["damping"] == pytest.approx(0.0004, rel=0.1)
+
+
 def check_equal(before, after):
     """Two verdicts name the same causes with the same values."""
     assert after.verdict is before.verdict

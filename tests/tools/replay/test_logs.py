@@ -70,6 +70,7 @@ def test_true_velocities_of_a_fast_motion_raise_no_warning(tmp_path):
     assert not any("velocities are" in text for text in read_log(fast).mistakes)
 
 
+@pytest.mark.slow
 def test_a_log_whose_command_never_changes_is_explained(tmp_path):
     log, model = record(tmp_path, robot=SERVO)
     held = saved(tmp_path, log, target=np.full((400, 1), 0.1))
@@ -121,7 +122,7 @@ def test_conventions_of_the_base_are_decided_by_its_motion(tmp_path):
     ):
         base = {"base_pos": angles, "base_quat": pose}
         base |= {"base_linvel": linear, "base_angvel": angular}
-        np.savez(tmp_path / "base.npz", t=time_s, q=angles, **base)
+        np.savez(tmp_path / "base.npz", t=time_s, q=angles, dq=velocity, **base)
         log = read_log(tmp_path / "base.npz")
         found = [text for text in log.findings + log.mistakes if "base" in text]
         assert all(words in text for words, text in zip(texts, found, strict=True))
