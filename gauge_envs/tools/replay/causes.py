@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import mujoco
 import numpy as np
@@ -207,44 +208,28 @@ def _losses(
     joints, dofs, model = replayer.log.joints, replayer.dof, setup.model
     groups = all_groups(len(joints))
 
-    def set_armature(changed: Setup, values: FloatArray) -> None:
-        changed.model.dof_armature[dofs] = values
-
-    def set_friction(changed: Setup, values: FloatArray) -> None:
-        changed.model.dof_frictionloss[dofs] = values
-
-    def set_damping(changed: Setup, values: FloatArray) -> None:
-        changed.model.dof_damping[dofs] = values
-
+    rows = (
+        ("armature", "kg m^2", "dof_armature", 0.3 * model.dof_M0[dofs]),
+        ("dry friction", "N m", "dof_frictionloss", 0.1 * load),
+        ("damping", "N m s/rad", "dof_damping", 0.3 * load / speed),
+    )
     return [
         Cause(
-            name="armature",
-            unit="kg m^2",
+            name=name,
+            unit=unit,
             parameters=joints,
-            present=model.dof_armature[dofs],
-            typical=0.3 * model.dof_M0[dofs],
-            apply=set_armature,
+            present=getattr(model, field)[dofs],
+            typical=typical,
+            apply=partial(_set_field, field, dofs),
             groups=groups,
-        ),
-        Cause(
-            name="dry friction",
-            unit="N m",
-            parameters=joints,
-            present=model.dof_frictionloss[dofs],
-            typical=0.1 * load,
-            apply=set_friction,
-            groups=groups,
-        ),
-        Cause(
-            name="damping",
-            unit="N m s/rad",
-            parameters=joints,
-            present=model.dof_damping[dofs],
-            typical=0.3 * load / speed,
-            apply=set_damping,
-            groups=groups,
-        ),
+        )
+        for name, unit, field, typical in rows
     ]
+
+
+def _set_field(field: str, rows: IntArray, changed: Setup, values: FloatArray) -> None:
+    """Give values to a field of the model."""
+    getattr(changed.model, field)[rows] = values
 
 
 def _bodies(setup: Setup) -> list[Cause]:

@@ -20,6 +20,7 @@ from gauge_envs.tools.replay.judge import judge_document, judge_setups, load_set
 from gauge_envs.tools.replay.log import FloatArray, LogMap
 from gauge_envs.tools.replay.model import quiet_engine, uses_degrees
 from gauge_envs.tools.replay.paste import Change
+from gauge_envs.tools.replay.report import fitted_values
 from gauge_envs.tools.replay.schema import ConstantsLine, Value
 
 ATTRIBUTES = {"frictionloss": "dry friction", "kv": "kd", "forcerange": "effort limit"}
@@ -204,20 +205,12 @@ def _minimize(problems: Sequence[Problem], fit: Fit) -> Fit:
 
 
 def _values(fit: Fit) -> list[Value]:
-    """Return the fitted values."""
-    values = []
-    half = np.asarray(fit.half_width)
-    trials = (fit.numbers, fit.numbers - half, fit.numbers + half)
-    for terms in zip(*map(fit.split, trials), strict=True):
-        cause, group = terms[0][0]
-        rows = [cause.values(group, numbers) for _, numbers in terms]
-        for place in np.flatnonzero(group.selection.any(axis=1)):
-            fitted, low, high = (float(row[place]) for row in rows)
-            present = float(cause.present[place])
-            name = f"{cause.name} of {cause.parameters[place]}"
-            changes = low > present or high < present
-            values.append(Value(name, present, fitted, low, high, changes))
-    return values
+    """Return the fitted values, whose names contain the cause."""
+    return [
+        replace(value, parameter=f"{interval.cause.name} of {value.parameter}")
+        for interval in fit.intervals()
+        for value in fitted_values(interval)
+    ]
 
 
 def constants_document(line: ConstantsLine) -> Document:

@@ -7,6 +7,7 @@ from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import product
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
@@ -94,6 +95,16 @@ LOSSES = ("armature", "dry friction", "damping")
 """What every drive has, and a published model often lacks."""
 
 
+class Interval(NamedTuple):
+    """Values of a cause, shape [K], with the ends of their 95 % intervals, NaN where there are none."""
+
+    cause: Cause
+    group: ParameterGroup
+    fitted: FloatArray
+    low: FloatArray
+    high: FloatArray
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Fit:
     """Causes that are fitted together; none for the model as it is.
@@ -158,6 +169,15 @@ class Fit:
         sizes = [group.selection.shape[1] for _, group in self.terms]
         parts = np.split(numbers, np.cumsum(sizes)[:-1])
         return zip(self.terms, parts, strict=False)
+
+    def intervals(self) -> Iterator[Interval]:
+        """Yield the values of each cause, with their 95 % intervals."""
+        half = np.nan * self.numbers if self.half_width is None else self.half_width
+        trials = (self.numbers, self.numbers - half, self.numbers + half)
+        for terms in zip(*map(self.split, trials), strict=True):
+            cause, group = terms[0][0]
+            fitted, low, high = (cause.values(group, numbers) for _, numbers in terms)
+            yield Interval(cause, group, fitted, low, high)
 
     def linearize(self) -> Fit:
         """Return the fit with the step to the optimum of its linear model."""
@@ -278,18 +298,11 @@ class Problem:
     def shown_setup(self, fit: Fit) -> Setup:
         """Return the setup with the values that are printed: four digits, and the present one inside an interval."""
         setup = self.setup
-        half = 0.0 * fit.numbers if fit.half_width is None else fit.half_width
-        trials = [
-            fit.split(numbers)
-            for numbers in (fit.numbers, fit.numbers - half, fit.numbers + half)
-        ]
-        for terms in zip(*trials, strict=True):
-            cause, group = terms[0][0]
-            fitted, low, high = (cause.values(group, numbers) for _, numbers in terms)
+        for cause, _group, fitted, low, high in fit.intervals():
             rounded = np.array([float(f"{value:.4g}") for value in fitted])
-            differs = (low > cause.present) | (high < cause.present)
+            is_equal = (low <= cause.present) & (high >= cause.present)
             after = copy.deepcopy(setup)
-            cause.apply(after, np.where(differs, rounded, cause.present))
+            cause.apply(after, np.where(is_equal, cause.present, rounded))
             mujoco.mj_setConst(after.model, mujoco.MjData(after.model))
             setup = after
         return setup

@@ -15,7 +15,14 @@ from gauge_envs.pages.document import Document, Paragraph, Part, Tone
 from gauge_envs.pages.table import Column, Table
 from gauge_envs.tools.replay.causes import Cause, candidates
 from gauge_envs.tools.replay.conventions import find_conventions, fixed_base
-from gauge_envs.tools.replay.fit import THRESHOLDS, Explanation, Fit, Problem, explain
+from gauge_envs.tools.replay.fit import (
+    THRESHOLDS,
+    Explanation,
+    Fit,
+    Interval,
+    Problem,
+    explain,
+)
 from gauge_envs.tools.replay.log import FloatArray, Log, LogMap, read_log
 from gauge_envs.tools.replay.model import (
     UNLIMITED,
@@ -272,29 +279,33 @@ def _repeat(first: Log, second: Log) -> Sequence[float] | None:
 def _explained(problem: Problem, fit: Fit) -> list[Explained]:
     """Return the causes of a fit as they are printed."""
     explained, step_s = [], problem.replayer.log.command_interval_s
-    half = np.nan * fit.numbers if fit.half_width is None else fit.half_width
-    trials = (fit.numbers, fit.numbers - half, fit.numbers + half)
-    for terms in zip(*map(fit.split, trials), strict=True):
-        cause, group = terms[0][0]
-        columns = [cause.present, *(cause.values(group, trial) for _, trial in terms)]
-        rows, values = np.transpose(columns), []
-        for k in np.flatnonzero(group.selection.any(axis=1)):
-            present, fitted, low, high = rows[k].tolist()
-            changes = low > present or high < present
-            now = present if abs(present) < UNLIMITED else None
-            ends = (None, None) if np.isnan(low) else (low, high)
-            values.append(
-                Value(cause.parameters[k], now, fitted, ends[0], ends[1], changes)
-            )
+    for interval in fit.intervals():
+        cause, values = interval.cause, fitted_values(interval)
         row = Explained(
             cause=cause.name,
-            text=_text(cause, group.label, values, step_s),
+            text=_text(cause, interval.group.label, values, step_s),
             share=problem.share(fit),
             unit=cause.unit,
             values=tuple(values),
         )
         explained.append(row)
     return explained
+
+
+def fitted_values(interval: Interval) -> list[Value]:
+    """Return the values of a cause that a fit changes."""
+    cause, group, *columns = interval
+    rows = np.transpose([cause.present, *columns]).tolist()
+    values = []
+    for k in np.flatnonzero(group.selection.any(axis=1)).tolist():
+        present, fitted, low, high = rows[k]
+        changes = low > present or high < present
+        now = present if abs(present) < UNLIMITED else None
+        ends = (None, None) if np.isnan(low) else (low, high)
+        values.append(
+            Value(cause.parameters[k], now, fitted, ends[0], ends[1], changes)
+        )
+    return values
 
 
 def _text(cause: Cause, label: str, values: Sequence[Value], step_s: float) -> str:
