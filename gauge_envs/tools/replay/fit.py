@@ -82,7 +82,7 @@ class Thresholds:
     max_refined: int = 10
     max_worse: float = 4.0
     max_polished: int = 3
-    max_bases: int = 3
+    max_bases: int = 2
     max_predictions: int = 20
     min_gain: float = 0.002
     min_step: float = 1e-3
@@ -531,6 +531,28 @@ def _find_indistinguishable(problem: Problem, fits: Sequence[Fit]) -> list[str]:
     return names
 
 
+def _fit_pairs(
+    problem: Problem, bases: Sequence[Fit], causes: Sequence[Cause]
+) -> list[Fit]:
+    """Return fits of two causes: the best single ones with any other, then the last one of the best pair with any."""
+    pairs: list[Fit] = []
+    for base in bases[: THRESHOLDS.max_bases]:
+        pairs += best_fits(problem, base, causes)
+        if min(map(problem.excess, pairs)) < THRESHOLDS.near_noise:
+            return pairs
+    best = min(pairs, key=problem.cost)
+    *_, count = (group.selection.shape[1] for _, group in best.terms)
+    first = len(best.numbers) - count
+    second = replace(
+        best,
+        terms=best.terms[1:],
+        numbers=best.numbers[first:],
+        slopes=best.slopes[..., first:],
+        reach=best.reach[first:],
+    )
+    return pairs + best_fits(problem, problem.predict(second), causes)
+
+
 def _prefer_losses(problem: Problem, fits: Sequence[Fit]) -> Fit:
     """Return the best fit, or the best one of losses and armature if none reaches the noise and it is about as good."""
     best = fits[0]
@@ -602,11 +624,7 @@ def explain(
     several: Fit | None = None
     if judge.excess(alone[0]) > limit:
         advance("several together")
-        together: list[Fit] = []
-        for base in bases[: THRESHOLDS.max_bases]:
-            together += best_fits(problem, base, causes)
-            if min(map(problem.excess, together)) < THRESHOLDS.near_noise:
-                break
+        together = _fit_pairs(problem, bases, causes)
         together = _few_by_cause(problem, together, 1)
         pairs = _find_indistinguishable(problem, together)
         judge = problem.lengthened(together[0])
