@@ -245,12 +245,12 @@ class Problem:
             problem = Problem(
                 self.replayer, self.setup, noisy=noisy, piece_s=length_s, count=count
             )
-            (long,) = problem.judged([fit], fit.names)
             is_seen = problem.before.error > 0.5 * self.before.error
-            if is_seen and problem.share(long) > THRESHOLDS.min_share:
-                problem.weight = self.excess(self.before) / problem.excess(
-                    problem.before
-                )
+            problem.weight = self.excess(self.before) / problem.excess(problem.before)
+            (long,) = problem.judged([fit], fit.names)
+            # A chaotic motion is missed more and more.
+            limit = 2.0 * max(self.excess(fit), 0.0) + THRESHOLDS.near_noise
+            if is_seen and problem.excess(long) < limit:
                 return problem
             length_s *= 0.5
         return self
@@ -267,7 +267,8 @@ class Problem:
             is_far = judged.error > self.floor * (1.0 + THRESHOLDS.near_noise)
             if is_rival and is_far and len(fit.numbers):
                 start = replace(judged, step=0.0 * fit.numbers)
-                judged = self.minimize(start, measure=True)
+                again = self.minimize(start, measure=True)
+                judged = min(judged, again, key=self.cost)
             found.append(judged)
         return sorted(found, key=self.cost)
 
@@ -583,6 +584,9 @@ def _verdict(
     if several and explains and problem.excess(several) < limit:
         return ReplayVerdict.SEVERAL
     leads = all(problem.excess(fit) > THRESHOLDS.min_lead * excess for fit in others)
+    if several and is_drive:
+        ratio = problem.excess(several) / excess
+        leads = leads and ratio > THRESHOLDS.max_ratio_of_several
     if problem.share(best) > THRESHOLDS.min_share and (
         leads or excess < THRESHOLDS.max_excess
     ):

@@ -58,8 +58,10 @@ def set_servo_friction(model):
 slow = pytest.mark.slow
 PLANTED = [
     ("delay", {"robot": SERVO, "delay_s": 0.03}, 0.03),
-    ("joint order", {"columns": (1, 0)}, None),
-    ("dry friction", {"robot": CART_POLE, "change": set_pole}, 2.0),
+    pytest.param("joint order", {"columns": (1, 0)}, None, marks=slow),
+    pytest.param(
+        "dry friction", {"robot": CART_POLE, "change": set_pole}, 2.0, marks=slow
+    ),
     pytest.param("kp", {"change": set_stiffness}, 28.0, marks=slow),
     pytest.param("dry friction", {"change": set_friction}, 0.3, marks=slow),
     pytest.param("armature", {"change": set_armature}, 0.03, marks=slow),
@@ -98,7 +100,7 @@ def test_the_error_of_the_right_model_is_that_of_the_noise(tmp_path, robot):
     assert seen.error == problem.before.error
 
 
-@pytest.mark.slow
+@slow
 def test_a_gear_leaves_the_law_of_a_joint(tmp_path):
     """With a gear of 2, a quarter of the gains gives the same torque."""
     log, model = record(tmp_path, change=set_stiffness)
@@ -134,6 +136,7 @@ def test_a_force_that_is_not_in_the_list_is_not_explained(tmp_path):
     assert line.paste == {}
 
 
+@slow
 def test_a_push_in_one_piece_hides_no_cause(tmp_path):
     line = replay(
         *record(
@@ -148,6 +151,7 @@ def test_a_push_in_one_piece_hides_no_cause(tmp_path):
     assert any("unlike the rest" in text for text in line.findings)
 
 
+@slow
 def test_laws_that_are_one_are_both_named(tmp_path):
     def change(model):
         model.actuator_biasprm[0, 2] -= 2.0

@@ -107,9 +107,11 @@ def rewritten(columns, reading):
 @pytest.mark.parametrize(
     "reading",
     [
-        "degrees",
         "order",
-        *(pytest.param(each, marks=pytest.mark.slow) for each in ("sign", "zero")),
+        *(
+            pytest.param(each, marks=pytest.mark.slow)
+            for each in ("degrees", "sign", "zero")
+        ),
     ],
 )
 def test_lines_of_the_map_correct_the_log(gauge, tmp_path, reading):
@@ -129,6 +131,7 @@ def test_lines_of_the_map_correct_the_log(gauge, tmp_path, reading):
     assert "physics agrees" in " ".join(shown[1].stdout.split())
 
 
+@pytest.mark.slow
 def test_the_line_of_a_delay_goes_into_the_map(tmp_path):
     log, model = record(tmp_path, robot=SERVO, delay_s=0.03)
     file = tmp_path / "map.toml"
@@ -164,11 +167,11 @@ def frictions(tmp_path_factory):
 @pytest.mark.parametrize(
     ("robot", "writing"),
     [
-        ("swing", "clock"),
-        ("arm", "columns"),
+        ("arm", "clock"),
+        pytest.param("swing", "clock", marks=pytest.mark.slow),
         *(
             pytest.param("arm", writing, marks=pytest.mark.slow)
-            for writing in ("clock", "unit", "half")
+            for writing in ("columns", "unit", "half")
         ),
     ],
 )
@@ -207,6 +210,7 @@ def check_equal(before, after):
             assert numbers[value.parameter] == fitted
 
 
+@pytest.mark.slow
 def test_a_verdict_does_not_hang_on_which_half_is_fitted(frictions, monkeypatch):
     files, before = frictions["arm"]
     pieces = Replayer.pieces
