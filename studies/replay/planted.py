@@ -89,12 +89,9 @@ def with_servos(spec: mujoco.MjSpec, rng: np.random.Generator) -> mujoco.MjSpec:
     return spec
 
 
-def add(robot: Robot, field: str, index: int, value: float) -> None:
-    """Add to a number of the model."""
-    getattr(robot.model, field)[index] += value
-
-
-def plant(name: str, robot: Robot, joint: int, rng: np.random.Generator) -> None:
+def plant(  # noqa: C901
+    name: str, robot: Robot, joint: int, rng: np.random.Generator
+) -> None:
     """Change a robot by a cause."""
     model = robot.model
     factor = rng.choice([0.6, 1.6])
@@ -189,9 +186,9 @@ def record(robot: Robot, rng: np.random.Generator) -> dict[str, np.ndarray]:
     targets = 0.25 * waves.sum(axis=2)
     states = []
     order = list(robot.order or range(model.nu))
-    for time_s in times_s:
+    for _ in times_s:
         states.append(np.concatenate([data.qpos, data.qvel]))
-        for _ in range(round(INTERVAL_S / model.opt.timestep)):
+        for _step in range(round(INTERVAL_S / model.opt.timestep)):
             row = int((data.time - robot.delay_s) / INTERVAL_S + 1e-9)
             row = max(0, row - row % robot.every)
             data.ctrl[:] = robot.scale * targets[row, order] + robot.offset
@@ -219,7 +216,9 @@ MISTAKES = {
 """Words of the message by mistake."""
 
 
-def write_wrongly(name: str, log: dict, rng: np.random.Generator) -> None:
+def write_wrongly(  # noqa: C901
+    name: str, log: dict, rng: np.random.Generator
+) -> None:
     """Change the columns of a log by a mistake."""
     count, joints = log["q"].shape
     joint = int(rng.integers(joints))
@@ -322,10 +321,9 @@ def main() -> None:
     kind, first, last, *files = sys.argv[1:]
     counts: dict[str, int] = {}
     for seed in range(int(first), int(last)):
+        spec = chain(np.random.default_rng(seed))
         if files:
             spec = mujoco.MjSpec.from_file(files[seed % len(files)])
-        else:
-            spec = chain(np.random.default_rng(seed))
         with tempfile.TemporaryDirectory() as name:
             folder = Path(name)
             truth = list(cases(kind, seed, spec, folder))

@@ -26,7 +26,7 @@ NO_NUMBERS = np.zeros(0)
 class Thresholds:
     """What decides which causes are fitted, and which are named.
 
-    The numbers come from logs with planted faults. An error is a mean squared residual over that of the noise: 1 for a
+    `studies/replay` counts right answers with these numbers on planted faults. An error is a mean squared residual over that of the noise: 1 for a
     right model. The excess is the error minus that of a perfect model.
 
     Attributes:
@@ -82,7 +82,7 @@ class Thresholds:
     max_refined: int = 10
     max_worse: float = 4.0
     max_polished: int = 3
-    max_bases: int = 2
+    max_bases: int = 3
     max_predictions: int = 20
     min_gain: float = 0.002
     min_step: float = 1e-3
@@ -618,7 +618,7 @@ def explain(
         return explain(clean, causes, advance)
     alone = _few_by_cause(problem, fits, 1)
     names = _find_indistinguishable(problem, alone)
-    bases = [fit for fit in alone if fit.names[0] not in names]
+    bases = alone
     judge = problem.lengthened(alone[0])
     alone = judge.judged(alone, names)
     names = judge.still_equal(alone, names)
