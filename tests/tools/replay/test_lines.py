@@ -1,5 +1,6 @@
 """Lines to paste make the change when they are executed, and a verdict does not hang on how a log is written."""
 
+from functools import cache
 from xml.etree import ElementTree
 
 import numpy as np
@@ -10,6 +11,7 @@ from test_causes import (
     set_effort,
     set_friction,
     set_gravity,
+    set_servo_friction,
     set_stiffness,
     set_stop,
 )
@@ -155,30 +157,37 @@ def same_log(columns, writing):
 
 @pytest.fixture(scope="module")
 def frictions(tmp_path_factory):
-    """Logs of an arm and of a swing with more friction than their models, with what is named."""
-    arm = record(tmp_path_factory.mktemp("arm"), change=set_friction)
-    passive = swing(tmp_path_factory.mktemp("swing"), 0.004, 0.0004)
-    return {
-        name: (files, replay(*files).line)
-        for name, files in (("arm", arm), ("swing", passive))
-    }
+    """A function: the log of a robot with more friction than its model, and what is named."""
+
+    @cache
+    def explained(robot):
+        folder = tmp_path_factory.mktemp(robot)
+        if robot == "swing":
+            files = swing(folder, 0.004, 0.0004)
+        elif robot == "servo":
+            files = record(folder, robot=SERVO, change=set_servo_friction)
+        else:
+            files = record(folder, change=set_friction)
+        return files, replay(*files).line
+
+    return explained
 
 
 @pytest.mark.parametrize(
     ("robot", "writing"),
     [
-        ("arm", "clock"),
+        ("servo", "clock"),
         pytest.param("swing", "clock", marks=pytest.mark.slow),
         *(
             pytest.param("arm", writing, marks=pytest.mark.slow)
-            for writing in ("columns", "unit", "half")
+            for writing in ("clock", "columns", "unit", "half")
         ),
     ],
 )
 def test_a_verdict_does_not_hang_on_how_a_log_is_written(
     tmp_path, frictions, robot, writing
 ):
-    (log, model), before = frictions[robot]
+    (log, model), before = frictions(robot)
     columns = dict(np.load(log))
     changes, text = same_log(columns, writing)
     file = tmp_path / "map.toml"
@@ -191,7 +200,7 @@ def test_a_verdict_does_not_hang_on_how_a_log_is_written(
 
 def test_losses_of_a_swing_are_named_together(frictions):
     """Pieces of 0.25 s show dry friction alone; a long rollout needs damping too."""
-    _, line = frictions["swing"]
+    _, line = frictions("swing")
     values = {each.cause: each.values[0].fitted for each in line.named}
     assert values.keys() == {"dry friction", "damping"}
     # MuJoCo's dry friction is soft at low speed.
@@ -212,7 +221,7 @@ def check_equal(before, after):
 
 @pytest.mark.slow
 def test_a_verdict_does_not_hang_on_which_half_is_fitted(frictions, monkeypatch):
-    files, before = frictions["arm"]
+    files, before = frictions("arm")
     pieces = Replayer.pieces
     monkeypatch.setattr(
         Replayer, "pieces", lambda *args, **options: pieces(*args, **options)[::-1]
