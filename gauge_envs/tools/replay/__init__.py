@@ -2,12 +2,12 @@
 
 from gauge_envs.tools.replay.log import Log, LogMap, read_log, read_map
 from gauge_envs.tools.replay.report import ReplayResult, replay
-from gauge_envs.tools.replay.schema import ReplayLine, ReplayVerdict
+from gauge_envs.tools.replay.schema import ExplanationLine, ReplayVerdict
 
 __all__ = [
+    "ExplanationLine",
     "Log",
     "LogMap",
-    "ReplayLine",
     "ReplayResult",
     "ReplayVerdict",
     "read_log",

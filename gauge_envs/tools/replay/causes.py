@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import mujoco
 import numpy as np
@@ -51,7 +52,8 @@ class ParameterGroup:
     """Values of a cause that change together.
 
     Attributes:
-        label: `all` for a common number, `each` for several numbers, the text of an option without numbers.
+        label: `one` for a single value, `all` for a common number, `each` for several numbers, the text of an option
+            without numbers.
         selection: Which number moves each value, shape [K, p].
     """
 
@@ -61,7 +63,7 @@ class ParameterGroup:
 
 def groups_of_one(count: int, size: int = 1) -> list[ParameterGroup]:
     """Return a group of each value, or of `size` neighbours with a number each."""
-    label = "all" if size == 1 else "each"
+    label = "one" if size == 1 else "each"
     selections = np.split(np.eye(count), count // size, axis=1)
     return [ParameterGroup(label, selection) for selection in selections]
 
@@ -153,7 +155,7 @@ def candidates(replayer: Replayer, setup: Setup) -> list[Cause]:
     """Return the causes that a model and a log allow."""
     log = replayer.log
     samples = np.linspace(0, len(log.time_s) - 1, LOAD_SAMPLES).astype(int)
-    conditions, torques = replayer.conditions(setup, samples)
+    torques, is_touching = replayer.torques(setup, samples)
     # Torques and speeds of the joints that the log often has.
     load = np.maximum(np.percentile(np.abs(torques), 95, axis=0), 1e-4)
     speed = np.maximum(np.percentile(np.abs(log.velocity), 95, axis=0), 1e-3)
@@ -169,7 +171,7 @@ def candidates(replayer: Replayer, setup: Setup) -> list[Cause]:
         causes += _commands(replayer, setup, driven, load[driven])
         if setup.model.actuator_biasprm[replayer.actuator[driven], 1].any():
             causes += _gains(replayer, setup, driven, 0.3 * load[driven] / speed.max())
-    if (conditions == "contact").any():
+    if is_touching:
         causes += _contacts(setup)
     return causes
 
@@ -206,44 +208,28 @@ def _losses(
     joints, dofs, model = replayer.log.joints, replayer.dof, setup.model
     groups = all_groups(len(joints))
 
-    def set_armature(changed: Setup, values: FloatArray) -> None:
-        changed.model.dof_armature[dofs] = values
-
-    def set_friction(changed: Setup, values: FloatArray) -> None:
-        changed.model.dof_frictionloss[dofs] = values
-
-    def set_damping(changed: Setup, values: FloatArray) -> None:
-        changed.model.dof_damping[dofs] = values
-
+    rows = (
+        ("armature", "kg m^2", "dof_armature", 0.3 * model.dof_M0[dofs]),
+        ("dry friction", "N m", "dof_frictionloss", 0.1 * load),
+        ("damping", "N m s/rad", "dof_damping", 0.3 * load / speed),
+    )
     return [
         Cause(
-            name="armature",
-            unit="kg m^2",
+            name=name,
+            unit=unit,
             parameters=joints,
-            present=model.dof_armature[dofs],
-            typical=0.3 * model.dof_M0[dofs],
-            apply=set_armature,
+            present=getattr(model, field)[dofs],
+            typical=typical,
+            apply=partial(_set_field, field, dofs),
             groups=groups,
-        ),
-        Cause(
-            name="dry friction",
-            unit="N m",
-            parameters=joints,
-            present=model.dof_frictionloss[dofs],
-            typical=0.1 * load,
-            apply=set_friction,
-            groups=groups,
-        ),
-        Cause(
-            name="damping",
-            unit="N m s/rad",
-            parameters=joints,
-            present=model.dof_damping[dofs],
-            typical=0.3 * load / speed,
-            apply=set_damping,
-            groups=groups,
-        ),
+        )
+        for name, unit, field, typical in rows
     ]
+
+
+def _set_field(field: str, rows: IntArray, changed: Setup, values: FloatArray) -> None:
+    """Give values to a field of the model."""
+    getattr(changed.model, field)[rows] = values
 
 
 def _bodies(setup: Setup) -> list[Cause]:
@@ -258,7 +244,7 @@ def _bodies(setup: Setup) -> list[Cause]:
     ends = np.union1d(0, np.flatnonzero(~np.isin(bodies, model.body_parentid[bodies])))
     # A tilt of the base turns gravity.
     tilts = [
-        ParameterGroup("all", np.eye(3)[:, 2:]),
+        ParameterGroup("one", np.eye(3)[:, 2:]),
         ParameterGroup("each", np.eye(3)[:, :2]),
         ParameterGroup("each", np.eye(3)),
     ]

@@ -2,26 +2,33 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from gauge_envs.cli import arguments
-from gauge_envs.cli.output import Format, Progress, echo, message, print_document
+from gauge_envs.cli.output import Format, Progress, echo, print_document
+from gauge_envs.errors import ParameterError
 
 
 def replay(
     log: Annotated[
-        Path,
+        list[Path],
         typer.Argument(
-            metavar="LOG", help="Log of a robot or simulator: CSV, NPZ or Parquet."
+            metavar="LOG...",
+            help="Logs of a robot or simulator: CSV, NPZ or Parquet; several with --fit or several models.",
         ),
     ],
     model: Annotated[
-        Path,
+        list[Path],
         arguments.option(
-            arguments.SCENE, "The robot: MJCF or URDF.", "--model", "-m", metavar="FILE"
+            arguments.SCENE,
+            "The robot: MJCF or URDF. Give it again for models to compare with the first.",
+            "--model",
+            "-m",
+            metavar="FILE",
         ),
     ],
     against: Annotated[
@@ -41,9 +48,39 @@ def replay(
             metavar="FILE",
         ),
     ] = None,
+    fit: Annotated[
+        str,
+        arguments.option(
+            arguments.SCENE,
+            "Constants to fit, as armature,frictionloss,damping,kp,kd,delay.",
+            metavar="NAMES",
+        ),
+    ] = "",
+    joint: Annotated[
+        str,
+        arguments.option(
+            arguments.SCENE, "Joints whose constants are fitted.", metavar="NAMES"
+        ),
+    ] = "",
+    test: Annotated[
+        list[Path] | None,
+        arguments.option(
+            arguments.SCENE,
+            "Log that judges the fit without being fitted.",
+            metavar="LOG",
+        ),
+    ] = None,
+    write: Annotated[
+        Path | None,
+        arguments.option(
+            arguments.OUTPUT,
+            "MJCF of the model with the fitted constants.",
+            metavar="FILE",
+        ),
+    ] = None,
     out: Annotated[
         list[Path] | None,
-        arguments.target("The same as .md or .json; the figure as .png."),
+        arguments.target("The same as .md or .json."),
     ] = None,
     form: arguments.Form = Format.TEXT,
 ) -> bool:
@@ -52,21 +89,36 @@ def replay(
     The model predicts the log from its own recorded states. Each cause of a list is fitted alone, and then in pairs;
     its share of the error counts on pieces of the log that the fit has not seen. Exit code 1 when the model does not
     predict the log within its noise.
-    """
-    from gauge_envs.tools.replay import ReplayVerdict, read_map, replay as run
-    from gauge_envs.tools.replay.report import replay_document, replay_figure
 
-    files = arguments.by_suffix(out, ".md", ".json", ".png")
-    picture = files.pop(".png", None)
-    with Progress("causes", None) as progress:
-        result = run(log, model, against, read_map(map_), progress.advance)
-    print_document(replay_document(result.line), form, files=files)
+    With several models, their predictions are compared with those of the first one. With --fit, constants of all
+    joints are fitted together. Both end with exit code 0.
+    """
+    from gauge_envs.tools.replay import ReplayVerdict, read_map, replay as explain
+    from gauge_envs.tools.replay.constants import constants_document, fit_logs
+    from gauge_envs.tools.replay.judge import judge_document, judge_models
+    from gauge_envs.tools.replay.report import replay_document
+
+    files = arguments.by_suffix(out, ".md", ".json")
+    mapped, differs = read_map(map_), False
+    paste: Mapping[str, str] = {}
+    if fit:
+        names, joints = (
+            [part.strip() for part in text.split(",") if part] for text in (fit, joint)
+        )
+        line = fit_logs(log, model[0], test or (), names, joints, mapped, write)
+        document, paste = constants_document(line), line.paste
+    elif len(model) > 1:
+        document = judge_document(judge_models(log, model, mapped))
+    else:
+        if len(log) > 1:
+            raise ParameterError("several logs need --fit, or a second --model")
+        with Progress("causes", None) as progress:
+            result = explain(log[0], model[0], against, mapped, progress.advance)
+        document, paste = replay_document(result.line), result.line.paste
+        differs = result.verdict is not ReplayVerdict.NOISE
+    print_document(document, form, files=files)
     if form is not Format.JSON:
-        for stack, text in result.line.paste.items():
+        for stack, text in paste.items():
             # A terminal's width must not wrap what is to be pasted.
             echo(f"\n{stack}\n{text}")
-    if picture is not None:
-        from gauge_envs.pages.figures import save_png
-
-        message(save_png(replay_figure(result), picture))
-    return result.verdict is not ReplayVerdict.NOISE
+    return differs

@@ -7,10 +7,11 @@ from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import product
+from typing import NamedTuple
 
 import mujoco
 import numpy as np
-from scipy.optimize import least_squares, lsq_linear
+from scipy.optimize import approx_fprime, least_squares, lsq_linear
 from scipy.stats import t as student, wilcoxon
 
 from gauge_envs.tools.replay.causes import Cause, ParameterGroup, groups_of_one
@@ -25,12 +26,14 @@ NO_NUMBERS = np.zeros(0)
 class Thresholds:
     """What decides which causes are fitted, and which are named.
 
-    The numbers come from logs with planted faults. An error is a mean squared residual over that of the noise: 1 for a
+    `studies/replay` counts right answers with these numbers on planted faults. An error is a mean squared residual over that of the noise: 1 for a
     right model. The excess is the error minus that of a perfect model.
 
     Attributes:
-        piece_s: Length of the predictions that are fitted [s].
+        piece_s: Length of the predictions that are fitted first [s].
         piece_count: Number of these pieces; every other one is held out.
+        long_count: Number of the long pieces by which the best fits are judged.
+        max_long_s: Length of the longest of them.
         max_noise_error: Error below which nothing is left to explain.
         max_misfit: Logarithm of the error over that of constant velocity or no motion, below which a model is no worse.
         odd_error: Error of a piece over the median one from which on it is odd.
@@ -50,8 +53,6 @@ class Thresholds:
         max_worse: Largest linear error of a fit that is refined, over that of a fit that reached the noise.
         max_polished: Number of the best fits that get measured slopes and intervals.
         max_bases: Number of fits of one cause to which a second one is added.
-        max_servo_numbers: Largest number of constants of servos that are fitted together.
-        max_noise_rounds: Number of times that the best fit propagates the noise.
         max_predictions: Largest number of predictions of one least-squares fit.
         min_gain: Relative decrease of the training error below which least squares ends.
         min_step: Relative step of the numbers below which least squares ends.
@@ -61,6 +62,8 @@ class Thresholds:
 
     piece_s: float = 0.25
     piece_count: int = 28
+    long_count: int = 4
+    max_long_s: float = 3.0
     max_noise_error: float = 1.3
     max_misfit: float = 0.4
     odd_error: float = 25.0
@@ -75,13 +78,11 @@ class Thresholds:
     enough_share: float = 0.99
     near_noise: float = 0.5
     number_cost: float = 0.01
-    max_groups: int = 2
-    max_refined: int = 8
+    max_groups: int = 3
+    max_refined: int = 10
     max_worse: float = 4.0
-    max_polished: int = 2
-    max_bases: int = 8
-    max_servo_numbers: int = 12
-    max_noise_rounds: int = 2
+    max_polished: int = 3
+    max_bases: int = 3
     max_predictions: int = 20
     min_gain: float = 0.002
     min_step: float = 1e-3
@@ -90,12 +91,18 @@ class Thresholds:
 
 THRESHOLDS = Thresholds()
 
-SERVO = ("delay", "kp", "armature", "damping")
-"""Causes that are fitted together where two are not enough: the constants of a servo."""
-
-
 LOSSES = ("armature", "dry friction", "damping")
 """What every drive has, and a published model often lacks."""
+
+
+class Interval(NamedTuple):
+    """Values of a cause, shape [K], with the ends of their 95 % intervals, NaN where there are none."""
+
+    cause: Cause
+    group: ParameterGroup
+    fitted: FloatArray
+    low: FloatArray
+    high: FloatArray
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -163,15 +170,14 @@ class Fit:
         parts = np.split(numbers, np.cumsum(sizes)[:-1])
         return zip(self.terms, parts, strict=False)
 
-    def plus(self, other: Fit) -> Fit:
-        """Return a fit with the terms of another one, whose residuals are a change."""
-        return Fit(
-            terms=self.terms + other.terms,
-            numbers=np.append(self.numbers, other.numbers),
-            training=self.training + other.training,
-            slopes=np.concatenate([self.slopes, other.slopes], axis=-1),
-            reach=np.append(self.reach, other.reach),
-        )
+    def intervals(self) -> Iterator[Interval]:
+        """Yield the values of each cause, with their 95 % intervals."""
+        half = np.nan * self.numbers if self.half_width is None else self.half_width
+        trials = (self.numbers, self.numbers - half, self.numbers + half)
+        for terms in zip(*map(self.split, trials), strict=True):
+            cause, group = terms[0][0]
+            fitted, low, high = (cause.values(group, numbers) for _, numbers in terms)
+            yield Interval(cause, group, fitted, low, high)
 
     def linearize(self) -> Fit:
         """Return the fit with the step to the optimum of its linear model."""
@@ -193,59 +199,95 @@ class Problem:
 
     Args:
         replayer: Predicts the log.
-        setup: What the user gave; the noise is propagated by it.
+        setup: What the user gave.
+        noisy: What propagates the noise, if it is another setup.
+        piece_s, count: Length and number of the pieces.
+        floor: Error over noise of a perfect model: 1, or that of the first of two logs.
 
     Attributes:
         pieces: Samples of all pieces, shape [P, 1 + T].
         whiteners: What makes the deviations of each half independent, shape [P, T D, T D].
         before: The model as it is.
-        left_out: First samples of the pieces that count nothing.
-        floor: Error over noise of a perfect model: 1, or that of the first of two logs.
     """
 
-    def __init__(self, replayer: Replayer, setup: Setup) -> None:
-        self.replayer, self.setup = replayer, setup
-        self.pieces = replayer.pieces(THRESHOLDS.piece_s, THRESHOLDS.piece_count)
+    def __init__(
+        self,
+        replayer: Replayer,
+        setup: Setup,
+        *,
+        noisy: Setup | None = None,
+        piece_s: float = THRESHOLDS.piece_s,
+        count: int = THRESHOLDS.piece_count,
+        floor: float = 1.0,
+    ) -> None:
+        self.replayer, self.setup, self.floor = replayer, setup, floor
+        self.weight = 1.0
+        self.pieces = replayer.pieces(piece_s, count)
         self._halves = self.pieces[::2], self.pieces[1::2]
-        self.floor = 1.0
-        self.left_out = np.zeros(0, int)
-        self.whiteners = self._whiteners(setup, self.left_out)
+        covariances = [
+            replayer.covariance(noisy or setup, half) for half in self._halves
+        ]
+        self.whiteners = [
+            np.linalg.inv(np.linalg.cholesky(each)) for each in covariances
+        ]
         no_slopes = np.zeros((*self.whiteners[0].shape[:2], 0))
         self.before = self.predict(Fit(training=NO_NUMBERS, slopes=no_slopes))
 
-    def _whiteners(self, setup: Setup, left_out: IntArray) -> list[FloatArray]:
-        covariances = [self.replayer.covariance(setup, half) for half in self._halves]
-        whiteners = [np.linalg.inv(np.linalg.cholesky(each)) for each in covariances]
-        for half, each in zip(self._halves, whiteners, strict=True):
-            each[np.isin(half[:, 0], left_out)] = 0.0
-        return whiteners
+    def lengthened(self, fit: Fit) -> Problem:
+        """Return the problem with the longest pieces that a fit predicts, and the noise that it propagates.
 
-    def with_noise_of(self, fit: Fit) -> Problem:
-        """Return the problem where a fit propagates the noise."""
-        problem = copy.copy(self)
-        problem.whiteners = self._whiteners(self.setup_of(fit), self.left_out)
-        problem.before = problem.predict(self.before)
-        return problem
+        A cause may change how the noise propagates: feet that slip keep a velocity, and feet that stick lose it. The
+        problem itself is returned if the fit predicts no pieces, or if their noise hides the error of the model.
+        """
+        noisy, count = self.setup_of(fit), THRESHOLDS.long_count
+        length_s = min(self.replayer.longest_s() / count, THRESHOLDS.max_long_s)
+        while length_s > THRESHOLDS.piece_s and self.floor == 1.0:
+            problem = Problem(
+                self.replayer, self.setup, noisy=noisy, piece_s=length_s, count=count
+            )
+            is_seen = problem.before.error > 0.5 * self.before.error
+            problem.weight = self.excess(self.before) / problem.excess(problem.before)
+            (long,) = problem.judged([fit], fit.names)
+            # A chaotic motion is missed more and more.
+            limit = 2.0 * max(self.excess(fit), 0.0) + THRESHOLDS.near_noise
+            if is_seen and problem.excess(long) < limit:
+                return problem
+            length_s *= 0.5
+        return self
 
-    def without_odd_pieces(self, fit: Fit) -> Problem:
-        """Return the problem without the few pieces that a fit misses by far more than the others."""
-        starts = np.concatenate([half[:, 0] for half in self._halves])
-        halves = (fit.training, fit.held_out)
-        errors = np.concatenate([np.mean(each**2, axis=1) for each in halves])
+    def judged(self, fits: Sequence[Fit], names: Sequence[str]) -> list[Fit]:
+        """Return fits of other pieces with the residuals of these, the best first.
+
+        The first one, and rivals that may be as good, are fitted again where they miss the noise.
+        """
+        found = []
+        for index, fit in enumerate(fits):
+            judged = self.predict(fit)
+            is_rival = index == 0 or " and ".join(fit.names) in names
+            is_far = judged.error > self.floor * (1.0 + THRESHOLDS.near_noise)
+            if is_rival and is_far and len(fit.numbers):
+                start = replace(judged, step=0.0 * fit.numbers)
+                again = self.minimize(start, measure=True)
+                judged = min(judged, again, key=self.cost)
+            found.append(judged)
+        return sorted(found, key=self.cost)
+
+    def still_equal(self, fits: Sequence[Fit], names: Sequence[str]) -> list[str]:
+        """Return the names whose fits on these pieces are as good as the first one."""
+        limit = 2.0 * max(self.excess(fits[0]), 0.0) + THRESHOLDS.max_excess_of_several
+        found = {" and ".join(fit.names): fit for fit in fits[1:]}
+        return [
+            name for name in names if name in found and self.excess(found[name]) < limit
+        ]
+
+    def odd_pieces(self, fit: Fit) -> IntArray:
+        """Return the few pieces that a fit misses by far more than the others, shape [K, 1 + T]."""
+        pieces = np.concatenate(self._halves)
+        errors = np.concatenate(
+            [np.mean(each**2, axis=1) for each in (fit.training, fit.held_out)]
+        )
         is_odd = errors > THRESHOLDS.odd_error * max(np.median(errors), self.floor)
-        problem = copy.copy(self)
-        if is_odd.mean() < THRESHOLDS.max_odd:
-            problem.left_out = starts[is_odd]
-            problem.whiteners = self._whiteners(self.setup, problem.left_out)
-            problem.before = problem.predict(self.before)
-        return problem
-
-    def surprise(self, fit: Fit) -> float:
-        """Return twice the negative logarithm of the likelihood of the training errors, by residual."""
-        precision = np.diagonal(self.whiteners[0], axis1=1, axis2=2)
-        # A piece that is left out has no precision.
-        logarithms = np.log(np.where(precision, precision, 1.0))
-        return fit.training_error - 2.0 * float(np.mean(logarithms))
+        return pieces[is_odd & (is_odd.mean() < THRESHOLDS.max_odd)]
 
     def setup_of(self, fit: Fit) -> Setup:
         """Return the setup of a fit."""
@@ -257,43 +299,79 @@ class Problem:
     def shown_setup(self, fit: Fit) -> Setup:
         """Return the setup with the values that are printed: four digits, and the present one inside an interval."""
         setup = self.setup
-        half = 0.0 * fit.numbers if fit.half_width is None else fit.half_width
-        trials = [
-            fit.split(numbers)
-            for numbers in (fit.numbers, fit.numbers - half, fit.numbers + half)
-        ]
-        for terms in zip(*trials, strict=True):
-            cause, group = terms[0][0]
-            fitted, low, high = (cause.values(group, numbers) for _, numbers in terms)
+        for cause, _group, fitted, low, high in fit.intervals():
             rounded = np.array([float(f"{value:.4g}") for value in fitted])
-            differs = (low > cause.present) | (high < cause.present)
+            is_equal = (low <= cause.present) & (high >= cause.present)
             after = copy.deepcopy(setup)
-            cause.apply(after, np.where(differs, rounded, cause.present))
+            cause.apply(after, np.where(is_equal, cause.present, rounded))
             mujoco.mj_setConst(after.model, mujoco.MjData(after.model))
             setup = after
         return setup
 
-    def _residuals(self, fit: Fit, half: int) -> FloatArray:
-        deviation = self.replayer.predict(self.setup_of(fit), self._halves[half])
+    def residuals(self, fit: Fit, numbers: FloatArray, half: int) -> FloatArray:
+        """Return the whitened residuals of the training or the held-out pieces for numbers, shape [P, T D]."""
+        setup = self.setup_of(replace(fit, numbers=numbers))
+        deviation = self.replayer.predict(setup, self._halves[half])
         columns = deviation.reshape(len(deviation), -1, 1)
         return (self.whiteners[half] @ columns)[..., 0]
 
-    def predict_training(self, fit: Fit, numbers: FloatArray) -> Fit:
-        """Return a fit with other numbers, and its residuals of the training pieces."""
-        moved = replace(fit, numbers=numbers, held_out=NO_NUMBERS)
-        return replace(moved, training=self._residuals(moved, 0))
-
-    def predict_held_out(self, fit: Fit) -> Fit:
-        """Return a fit with its residuals of the held-out pieces."""
-        return replace(fit, held_out=self._residuals(fit, 1))
-
     def predict(self, fit: Fit) -> Fit:
         """Return a fit with all its residuals."""
-        return self.predict_held_out(self.predict_training(fit, fit.numbers))
+        training, held_out = (self.residuals(fit, fit.numbers, half) for half in (0, 1))
+        return replace(fit, training=training, held_out=held_out)
+
+    def minimize(self, fit: Fit, *, measure: bool) -> Fit:
+        """Return a fit at the least squares of the training pieces, with all its residuals.
+
+        Args:
+            fit: Where it begins.
+            measure: Whether the slopes are measured by finite differences at each step; else those of the fit are used.
+        """
+
+        def residuals(numbers: FloatArray) -> FloatArray:
+            return self.residuals(fit, numbers, 0).ravel()
+
+        def slopes(numbers: FloatArray) -> FloatArray:
+            if not measure:
+                return fit.slopes.reshape(-1, len(numbers))
+            return approx_fprime(numbers, residuals, THRESHOLDS.slope_step)
+
+        # A present value may be below the smallest one that is fitted, as no friction.
+        lower = np.minimum(fit.lower, fit.numbers)
+        found = least_squares(
+            residuals,
+            fit.numbers,
+            slopes,
+            bounds=(lower, np.maximum(fit.upper, fit.numbers + 1e-9)),
+            method="dogbox",
+            x_scale=np.maximum(np.abs(fit.step), 1.0) if measure else 1.0,
+            ftol=THRESHOLDS.min_gain,
+            xtol=THRESHOLDS.min_step,
+            max_nfev=THRESHOLDS.max_predictions,
+        )
+        training = found.fun.reshape(len(self._halves[0]), -1)
+        return replace(
+            fit,
+            numbers=found.x,
+            training=training,
+            slopes=found.jac.reshape(*training.shape, -1),
+            reach=np.full(len(found.x), np.inf),
+            held_out=self.residuals(fit, found.x, 1),
+        )
+
+    def polish(self, fit: Fit) -> Fit:
+        """Return a fit after least squares with measured slopes, with intervals."""
+        if not len(fit.numbers):
+            return self.predict(fit)
+        fit = self.minimize(replace(fit, step=0.0 * fit.numbers), measure=True)
+        return replace(fit, half_width=_half_width(fit.slopes, fit.training))
 
     def excess(self, fit: Fit) -> float:
-        """Return the error beyond that of a perfect model, over it."""
-        return fit.error / self.floor - 1.0
+        """Return the error beyond that of a perfect model, over it.
+
+        Long pieces have the excess that short ones have with the same share.
+        """
+        return self.weight * (fit.error / self.floor - 1.0)
 
     def share(self, fit: Fit) -> float:
         """Return the share of the excess that a fit explains."""
@@ -304,135 +382,48 @@ class Problem:
         return fit.error * (1.0 + THRESHOLDS.number_cost * len(fit.numbers))
 
 
-def try_cause(problem: Problem, cause: Cause) -> list[Fit]:
-    """Return the change of the residuals by each group of a cause, one for each start.
+def try_cause(problem: Problem, cause: Cause, base: Fit) -> list[Fit]:
+    """Return fits of a base and each group of a further cause, one for each start, with their residuals.
 
     A cause without starts begins at the present values. The changes of single values are added, as for linear
     residuals.
     """
+
+    def change(group: ParameterGroup, numbers: FloatArray) -> FloatArray:
+        moved = replace(base, terms=(*base.terms, (cause, group)))
+        numbers = np.append(base.numbers, numbers)
+        return problem.residuals(moved, numbers, 0) - base.training
+
+    def fit(
+        group: ParameterGroup, start: float, moved: FloatArray, slopes: FloatArray
+    ) -> Fit:
+        numbers = np.full(group.selection.shape[1], start)
+        return Fit(
+            terms=(*base.terms, (cause, group)),
+            numbers=np.append(base.numbers, numbers),
+            training=base.training + moved,
+            slopes=np.concatenate([base.slopes, slopes], axis=-1),
+            reach=np.append(base.reach, numbers * 0.0 + reach[row]),
+        )
+
     if not cause.parameters:
         (group,) = cause.groups
-        return [_change(problem, cause, group, NO_NUMBERS)]
+        row, reach = 0, np.zeros(1)
+        return [fit(group, 0.0, change(group, NO_NUMBERS), base.slopes[..., :0])]
     grid = np.sort(cause.starts or (0.0, THRESHOLDS.slope_step))
     singles = groups_of_one(len(cause.parameters))
-    moved = np.zeros((len(grid), *problem.before.training.shape, len(singles)))
+    moved = np.zeros((len(grid), *base.training.shape, len(singles)))
     for row in np.flatnonzero(grid).tolist():
         for column, group in enumerate(singles):
-            single = _change(problem, cause, group, grid[[row]])
-            moved[row, ..., column] = single.training
+            moved[row, ..., column] = change(group, grid[[row]])
     slopes, reach = np.gradient(moved, grid, axis=0), np.gradient(grid)
     if not cause.starts:
         grid, reach = np.zeros(1), np.full(1, np.inf)
     fits = []
     for row, group in product(range(len(grid)), cause.groups):
-        count = group.selection.shape[1]
-        fit = Fit(
-            terms=((cause, group),),
-            numbers=np.full(count, grid[row]),
-            training=moved[row] @ group.selection.sum(axis=1),
-            slopes=slopes[row] @ group.selection,
-            reach=np.full(count, reach[row]),
-        )
-        fits.append(fit)
+        total = moved[row] @ group.selection.sum(axis=1)
+        fits.append(fit(group, grid[row], total, slopes[row] @ group.selection))
     return fits
-
-
-def _change(
-    problem: Problem, cause: Cause, group: ParameterGroup, numbers: FloatArray
-) -> Fit:
-    """Return a fit whose training residuals are the change by one cause."""
-    before = problem.before
-    fit = replace(before, terms=((cause, group),))
-    fit = problem.predict_training(fit, numbers)
-    return replace(fit, training=fit.training - before.training)
-
-
-class _Descent:
-    """Training residuals along a least-squares fit, with their slopes.
-
-    Attributes:
-        fit: The last fit at which slopes were computed.
-    """
-
-    def __init__(self, problem: Problem, fit: Fit) -> None:
-        self._problem, self._start = problem, fit
-        self._tried = [fit]
-        self.fit = fit
-
-    def residuals(self, change: FloatArray) -> FloatArray:
-        """Return the residuals for a change of the numbers."""
-        if change.any():
-            numbers = self._start.numbers + change
-            self._tried.append(self._problem.predict_training(self._start, numbers))
-        return self._tried[-1].training.ravel()
-
-    def update_slopes(self, _: FloatArray) -> FloatArray:
-        """Return the slopes after an update by each prediction, J += (dr - J dx) dx^T / dx^2.
-
-        Source: Broyden 1965, Mathematics of Computation 19, 577.
-        """
-        slopes = self.fit.slopes
-        for fit in self._tried[1:]:
-            step = fit.numbers - self.fit.numbers
-            gap = fit.training - self.fit.training - slopes @ step
-            if step.any():
-                slopes = slopes + gap[..., None] * step / (step @ step)
-        return self._use(slopes)
-
-    def measure_slopes(self, change: FloatArray) -> FloatArray:
-        """Return the slopes by finite differences."""
-        fit = self._tried[-1]
-        slopes = np.zeros((*fit.training.shape, len(change)))
-        for column, unit in enumerate(np.eye(len(change))):
-            numbers = fit.numbers + THRESHOLDS.slope_step * unit
-            moved = self._problem.predict_training(fit, numbers)
-            slopes[..., column] = moved.training - fit.training
-        return self._use(slopes / THRESHOLDS.slope_step)
-
-    def _use(self, slopes: FloatArray) -> FloatArray:
-        # Least squares asks for slopes at the latest prediction.
-        self.fit = replace(self._tried[-1], slopes=slopes)
-        self._tried = [self.fit]
-        return slopes.reshape(self.fit.training.size, -1)
-
-    def minimize(self, slopes: Callable[[FloatArray], FloatArray]) -> Fit:
-        """Return the fit at the optimum, with slopes of one of the methods."""
-        start = self._start
-        # A present value may be below the smallest one that is fitted, as no friction.
-        lower = np.minimum(start.lower - start.numbers, 0.0)
-        least_squares(
-            self.residuals,
-            np.zeros(len(start.numbers)),
-            slopes,
-            bounds=(lower, np.maximum(start.upper - start.numbers, 1e-9)),
-            method="dogbox",
-            # The first step is at most so long.
-            x_scale=np.maximum(np.abs(start.step), 1.0),
-            ftol=THRESHOLDS.min_gain,
-            xtol=THRESHOLDS.min_step,
-            max_nfev=THRESHOLDS.max_predictions,
-        )
-        return self.fit
-
-
-def _refine(problem: Problem, fit: Fit) -> Fit:
-    """Return a fit at the optimum of the training pieces, with all its residuals."""
-    fit = problem.predict_training(fit, fit.numbers).linearize()
-    if fit.linear_error < (1.0 - THRESHOLDS.min_gain) * fit.training_error:
-        descent = _Descent(problem, fit)
-        fit = descent.minimize(descent.update_slopes)
-    reach = np.full(len(fit.numbers), np.inf)
-    return problem.predict_held_out(replace(fit, reach=reach))
-
-
-def _polish(problem: Problem, fit: Fit) -> Fit:
-    """Return a fit after least squares with measured slopes, with intervals."""
-    if not len(fit.numbers):
-        return fit
-    descent = _Descent(problem, replace(fit, step=np.zeros(len(fit.numbers))))
-    fit = descent.minimize(descent.measure_slopes)
-    fit = replace(fit, half_width=_half_width(fit.slopes, fit.training))
-    return problem.predict_held_out(fit)
 
 
 def _half_width(slopes: FloatArray, residuals: FloatArray) -> FloatArray:
@@ -456,30 +447,34 @@ def _half_width(slopes: FloatArray, residuals: FloatArray) -> FloatArray:
 
 
 def best_fits(
-    problem: Problem, bases: Sequence[Fit], changes: Sequence[Fit]
+    problem: Problem,
+    base: Fit,
+    causes: Sequence[Cause],
+    advance: Callable[[str], None] = lambda _: None,
 ) -> list[Fit]:
-    """Return the best fit of each further cause on top of each base, the best first.
+    """Return the best fit of each further cause on top of a base, the best first.
 
     A few fits are refined, and after one that reaches the noise only those that come near to it.
     """
-    promising = [
-        base.plus(change).linearize()
-        for base, change in product(bases, changes)
-        if change.names != base.names
-    ]
+    promising: list[Fit] = []
+    for cause in causes:
+        advance(cause.name)
+        if cause.name not in base.names:
+            promising += [fit.linearize() for fit in try_cause(problem, cause, base)]
     limit = np.inf
     fits: list[Fit] = []
-    for fit in _few_by_cause(problem, promising, THRESHOLDS.max_groups):
-        if len(fits) < THRESHOLDS.max_refined and fit.linear_error < limit:
-            fits.append(_refine(problem, fit))
-            if problem.excess(fits[-1]) < THRESHOLDS.near_noise:
-                limit = min(limit, THRESHOLDS.max_worse * fit.linear_error)
+    few = _few_by_cause(problem, promising, THRESHOLDS.max_groups)
+    for fit in few[: THRESHOLDS.max_refined]:
+        fit = replace(fit, numbers=fit.numbers + fit.step)
+        if fit.linear_error < limit and len(fit.numbers):
+            fits.append(problem.minimize(fit, measure=False))
         else:
-            at_optimum = replace(fit, numbers=fit.numbers + fit.step)
-            fits.append(problem.predict(at_optimum))
+            fits.append(problem.predict(fit))
+        if problem.excess(fits[-1]) < THRESHOLDS.near_noise:
+            limit = min(limit, THRESHOLDS.max_worse * fit.linear_error)
     fits.sort(key=problem.cost)
     for index, fit in enumerate(fits[: THRESHOLDS.max_polished]):
-        fits[index] = _polish(problem, fit)
+        fits[index] = problem.polish(fit)
     return sorted(fits, key=problem.cost)
 
 
@@ -496,30 +491,12 @@ def _few_by_cause(problem: Problem, fits: Sequence[Fit], count: int) -> list[Fit
     return few
 
 
-def _update_noise(problem: Problem, fits: list[Fit]) -> tuple[Problem, list[Fit]]:
-    """Return the problem whose noise the best fit propagates, with its fits; the given ones if that does not help.
-
-    A cause may change how the noise propagates: feet that slip keep a velocity, and feet that stick lose it. The best
-    fit therefore propagates the noise if it then reaches the noise and its training errors become likelier.
-    """
-    best = fits[0]
-    for _ in range(THRESHOLDS.max_noise_rounds):
-        updated = problem.with_noise_of(best)
-        ((cause, _group),) = best.terms
-        best = best_fits(updated, [updated.before], try_cause(updated, cause))[0]
-        is_likelier = updated.surprise(best) < problem.surprise(fits[0])
-        if is_likelier and updated.excess(best) < THRESHOLDS.near_noise:
-            others = [updated.predict(fit) for fit in fits]
-            return updated, sorted([best, *others], key=updated.cost)
-    return problem, fits
-
-
 @dataclass(frozen=True)
 class Explanation:
     """What explains a log.
 
     Attributes:
-        problem: The log, with the noise that the best fit propagates.
+        problem: The log, in pieces as long as the best fit predicts them.
         verdict: What explains the difference.
         fits: Best fit of each cause, the best first; none if the model predicts the log within its noise.
         indistinguishable: Names of the causes that the log cannot tell from the first.
@@ -555,22 +532,26 @@ def _find_indistinguishable(problem: Problem, fits: Sequence[Fit]) -> list[str]:
     return names
 
 
-def _fit_servo(
-    problem: Problem, fits: Sequence[Fit], changes: Sequence[Fit]
+def _fit_pairs(
+    problem: Problem, bases: Sequence[Fit], causes: Sequence[Cause]
 ) -> list[Fit]:
-    """Return the constants of all servos fitted together from the best delay; nothing for many servos or none."""
-    best = {fit.names[0]: fit for fit in reversed(fits)}
-    # The last group of a cause has a number each.
-    with_number_each = {fit.names[0]: fit for fit in changes}
-    if not with_number_each.keys() >= {*SERVO}:
-        return []
-    first, *others = SERVO
-    servo = best[first]
-    for name in others:
-        servo = servo.plus(with_number_each[name])
-    if len(servo.numbers) > THRESHOLDS.max_servo_numbers:
-        return []
-    return [_polish(problem, problem.predict(servo))]
+    """Return fits of two causes: the best single ones with any other, then the last one of the best pair with any."""
+    pairs: list[Fit] = []
+    for base in bases[: THRESHOLDS.max_bases]:
+        pairs += best_fits(problem, base, causes)
+        if min(map(problem.excess, pairs)) < THRESHOLDS.near_noise:
+            return pairs
+    best = min(pairs, key=problem.cost)
+    *_, count = (group.selection.shape[1] for _, group in best.terms)
+    first = len(best.numbers) - count
+    second = replace(
+        best,
+        terms=best.terms[1:],
+        numbers=best.numbers[first:],
+        slopes=best.slopes[..., first:],
+        reach=best.reach[first:],
+    )
+    return pairs + best_fits(problem, problem.predict(second), causes)
 
 
 def _prefer_losses(problem: Problem, fits: Sequence[Fit]) -> Fit:
@@ -583,16 +564,6 @@ def _prefer_losses(problem: Problem, fits: Sequence[Fit]) -> Fit:
         if near and {*fit.names} <= {*LOSSES}:
             return fit
     return best
-
-
-def _fit_several(
-    problem: Problem, bases: Sequence[Fit], fits: Sequence[Fit], changes: Sequence[Fit]
-) -> list[Fit]:
-    """Return the best fit of each pair of causes, and of the constants of servos, the best first."""
-    together = best_fits(problem, bases[: THRESHOLDS.max_bases], changes)
-    if problem.excess(together[0]) > THRESHOLDS.near_noise:
-        together += _fit_servo(problem, fits, changes)
-    return _few_by_cause(problem, together, 1)
 
 
 def _verdict(
@@ -613,6 +584,9 @@ def _verdict(
     if several and explains and problem.excess(several) < limit:
         return ReplayVerdict.SEVERAL
     leads = all(problem.excess(fit) > THRESHOLDS.min_lead * excess for fit in others)
+    if several and is_drive:
+        ratio = problem.excess(several) / excess
+        leads = leads and ratio > THRESHOLDS.max_ratio_of_several
     if problem.share(best) > THRESHOLDS.min_share and (
         leads or excess < THRESHOLDS.max_excess
     ):
@@ -636,29 +610,32 @@ def explain(
     """Return what explains the deviation of a log from the model: each cause alone, then several."""
     if _predicts(problem):
         return Explanation(problem)
-    changes: list[Fit] = []
-    for cause in causes:
-        advance(cause.name)
-        changes += try_cause(problem, cause)
-    fits = best_fits(problem, [problem.before], changes)
-    if not len(problem.left_out):
-        clean = problem.without_odd_pieces(fits[0])
-        if len(clean.left_out):
-            return explain(clean, causes, advance)
-    if problem.excess(fits[0]) > THRESHOLDS.near_noise:
-        problem, fits = _update_noise(problem, fits)
+    fits = best_fits(problem, problem.before, causes, advance)
+    replayer, odd = problem.replayer, problem.odd_pieces(fits[0])
+    if len(odd) and not len(replayer.left_out):
+        replayer.leave_out(odd)
+        clean = Problem(replayer, problem.setup, floor=problem.floor)
+        return explain(clean, causes, advance)
     alone = _few_by_cause(problem, fits, 1)
     names = _find_indistinguishable(problem, alone)
+    bases = alone
+    judge = problem.lengthened(alone[0])
+    alone = judge.judged(alone, names)
+    names = judge.still_equal(alone, names)
     limit = THRESHOLDS.near_noise
-    if problem.share(alone[0]) > THRESHOLDS.enough_share:
+    if judge.share(alone[0]) > THRESHOLDS.enough_share and judge is problem:
         limit = THRESHOLDS.max_excess_of_several
     several: Fit | None = None
-    if problem.excess(alone[0]) > limit:
+    if judge.excess(alone[0]) > limit:
         advance("several together")
-        bases = [fit for fit in fits if fit.names[0] not in names]
-        together = _fit_several(problem, bases, fits, changes)
-        several = _prefer_losses(problem, together)
-    verdict = _verdict(problem, alone, several)
+        together = _fit_pairs(problem, bases, causes)
+        together = _few_by_cause(problem, together, 1)
+        pairs = _find_indistinguishable(problem, together)
+        judge = problem.lengthened(together[0])
+        together = judge.judged(together, pairs)
+        alone = judge.judged(alone, ())
+        several = _prefer_losses(judge, together)
+    verdict = _verdict(judge, alone, several)
     if verdict is ReplayVerdict.SEVERAL:
-        names = _find_indistinguishable(problem, together)
-    return Explanation(problem, verdict, alone, names, several)
+        names = judge.still_equal(together, pairs)
+    return Explanation(judge, verdict, alone, names, several)

@@ -18,6 +18,7 @@ from pydantic import BaseModel
 from scipy.integrate import cumulative_simpson
 from scipy.ndimage import uniform_filter1d
 from scipy.optimize import linear_sum_assignment
+from scipy.signal import savgol_filter
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.errors import FileError
@@ -530,19 +531,22 @@ def noise_of(time_s: FloatArray, values: FloatArray) -> FloatArray:
     windows = sliding_window_view(values, NOISE_WINDOW, axis=0)
     places = (times - times[:, :1]) / np.ptp(times, axis=1, keepdims=True)
     # The last left singular vector of the powers 0 to 5 is orthogonal to every such polynomial, and of length 1.
+    places, kinds = np.unique(places.round(6), axis=0, return_inverse=True)
     powers = places[..., None] ** np.arange(NOISE_WINDOW - 1)
     weights = np.linalg.svd(powers)[0][..., -1]
-    residual = np.einsum("nw,njw->nj", weights, windows)
+    residual = np.einsum("nw,njw->nj", weights[kinds.ravel()], windows)
     return 1.4826 * np.median(np.abs(residual), axis=0)
 
 
 def _check_velocity(log: Log) -> Iterator[str]:
     """Add noise levels, and velocities where the log has none; compare those that it has with the positions."""
     log.position_noise = np.maximum(noise_of(log.time_s, log.position), MIN_NOISE)
-    slope = np.gradient(log.position, log.time_s, axis=0)
+    slope, half = np.gradient(log.position, log.time_s, axis=0), NOISE_WINDOW // 2
     if log.velocity.shape != log.position.shape:
-        log.velocity = slope
-        log.velocity_noise = log.position_noise / (np.sqrt(2.0) * log.interval_s)
+        log.velocity = np.where(_is_regular(log.time_s), _smooth_slope(log), slope)
+        log.velocity_noise = 0.6 * log.position_noise / log.interval_s
+        # A polynomial has no slope at its ends.
+        log.keep(np.arange(len(slope))[half:-half])
         log.findings.append(
             "no velocities of all joints: differences of positions are used"
         )
@@ -551,6 +555,25 @@ def _check_velocity(log: Log) -> Iterator[str]:
     spread = 1.4826 * np.median(np.abs(log.velocity - slope), axis=0)
     noise = np.hypot(noise_of(log.time_s, log.velocity), 0.2 * spread)
     log.velocity_noise = np.maximum(noise, MIN_RATE_NOISE)
+
+
+def _smooth_slope(log: Log) -> FloatArray:
+    """Return the slopes of polynomials of degree 4 through seven samples, shape [N, J].
+
+    They have 0.51 of the noise of a position over the interval, and central differences 0.71.
+    """
+    slopes = (
+        savgol_filter(each, NOISE_WINDOW, 4, deriv=1, axis=0)
+        for each in (log.position, log.time_s[:, None])
+    )
+    return np.divide(*slopes)
+
+
+def _is_regular(time_s: FloatArray) -> BoolArray:
+    """Return whether a sample is in the middle of seven with equal intervals, shape [N, 1]."""
+    steps = sliding_window_view(np.diff(time_s), NOISE_WINDOW - 1)
+    is_even = steps.max(axis=1) < 1.2 * steps.min(axis=1)
+    return np.pad(is_even, NOISE_WINDOW // 2)[:, None]
 
 
 def _check_rates(log: Log) -> Iterator[str]:

@@ -255,6 +255,7 @@ class Replayer:
         actuator: Actuator that drives each joint, -1 for none, shape [J].
         dofs: Addresses of the degrees of freedom in `qvel`, shape [D].
         noise: Noise of the degrees of freedom and then of their rates, shape [2 D].
+        left_out: Pieces that no prediction crosses, shape [K, 1 + T].
         is_joint: Whether a degree of freedom is a joint, shape [D].
 
     Raises:
@@ -298,6 +299,9 @@ class Replayer:
         noise = noise_of(log.time_s, pose)
         # A rotation is twice the change of the quaternion.
         noise[3:6] = 2.0 * noise[3:].max(initial=0.0)
+        gaps_s = np.diff(log.time_s, prepend=log.time_s[0])
+        self._breaks: IntArray = np.cumsum(gaps_s > MAX_GAP * log.interval_s)
+        self.left_out = np.zeros((0, 0), int)
         self.noise = np.concatenate(
             [
                 np.maximum(noise[:6], MIN_NOISE),
@@ -306,6 +310,18 @@ class Replayer:
                 log.velocity_noise,
             ]
         )
+
+    def leave_out(self, pieces: IntArray) -> None:
+        """Let no prediction cross some pieces, shape [K, 1 + T]."""
+        self.left_out = pieces
+        for first, *_, last in pieces.tolist():
+            self._breaks[first + 1 :] += 1
+            self._breaks[first + 1 : last + 1] += np.arange(last - first)
+            self._breaks[last + 1 :] += last - first
+
+    def longest_s(self) -> float:
+        """Return the length of the longest run of good samples."""
+        return float(np.bincount(self._breaks).max() * self.log.interval_s)
 
     def pieces(self, horizon_s: float, count: int, outputs: int = 8) -> IntArray:
         """Return samples of pieces that are spread over the log, shape [P, 1 + T]; a prediction begins at the first.
@@ -321,9 +337,7 @@ class Replayer:
         log = self.log
         length = max(1, round(horizon_s / log.interval_s))
         steps = np.unique(np.linspace(0, length, outputs + 1).round().astype(int))
-        gaps_s = np.diff(log.time_s, prepend=log.time_s[0])
-        breaks = np.cumsum(gaps_s > MAX_GAP * log.interval_s)
-        start = np.flatnonzero(breaks[length:] == breaks[:-length])
+        start = np.flatnonzero(self._breaks[length:] == self._breaks[:-length])
         if not len(start):
             reason = f"no {horizon_s:g} s without lost samples; record longer runs"
             raise ParameterError(f"{log.name}: {reason}")
@@ -446,17 +460,14 @@ class Replayer:
         )
         return np.log(error / np.minimum(kept, rest))
 
-    def conditions(
-        self, setup: Setup, samples: IntArray
-    ) -> tuple[NDArray[np.str_], FloatArray]:
-        """Return the condition of each joint at samples, shape [S, J], and its torque in the model, shape [S, J].
+    def torques(self, setup: Setup, samples: IntArray) -> tuple[FloatArray, bool]:
+        """Return the torque of each joint in the model at samples, shape [S, J], and whether anything is in contact.
 
         For a joint without an actuator, the torque is the sum of gravity, Coriolis and centrifugal torques.
         """
-        model, data, log = setup.model, self._datas[0], self.log
-        controls = setup.controls(log.time_s[samples])
-        conditions = np.full((len(samples), len(self.joint)), "free", dtype="<U10")
-        torques = np.zeros(conditions.shape)
+        model, data, is_touching = setup.model, self._datas[0], False
+        controls = setup.controls(self.log.time_s[samples])
+        torques = np.zeros((len(samples), len(self.joint)))
         for place, row in enumerate(samples):
             data.qpos[:], data.qvel[:] = self.qpos[row], self.qvel[row]
             data.qpos[self._places] += setup.zero
@@ -465,14 +476,5 @@ class Replayer:
             mujoco.mj_forward(model, data)
             torque = np.where(data.qfrc_actuator, data.qfrc_actuator, data.qfrc_bias)
             torques[place] = torque[self.dof]
-            if data.ncon:
-                conditions[place] = "contact"
-        lower, upper = model.jnt_range[self.joint].T
-        near = 3.0 * log.position_noise
-        angle = log.position[samples]
-        conditions[(angle < lower + near) | (angle > upper - near)] = "limit"
-        effort = model.actuator_forcerange[:, 1]
-        # A joint without an actuator has the place -1: the last entry.
-        limits = np.append(effort, np.inf)[self.actuator]
-        conditions[np.abs(torques) > 0.999 * limits] = "saturation"
-        return conditions, torques
+            is_touching = is_touching or bool(data.ncon)
+        return torques, is_touching

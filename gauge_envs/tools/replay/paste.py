@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
+from gauge_envs.files import write_whole
 from gauge_envs.tools.replay.log import LogMap, with_joints
 from gauge_envs.tools.replay.model import Replayer, Setup
 
@@ -26,6 +28,10 @@ BODY_FIELDS = {
     "diaginertia": "body_inertia",
 }
 """Field of the model by attribute of an inertial."""
+
+
+SPEC_FIELDS = {"pos": "ipos", "quat": "iquat", "diaginertia": "inertia"}
+"""Field of the body of a specification by attribute of an inertial."""
 
 
 @dataclass(frozen=True)
@@ -52,10 +58,28 @@ class Change:
 
         An element of MJCF has the attributes that change; a `<position>` takes the place of a `<general>`.
         """
-        elements = (self._joints(), self._actuators(), self._bodies(), self._options())
-        mjcf = [text for part in elements for text in part]
+        mjcf = [_element(tag, values) for tag, values in self._elements()]
         places = {"map": [*self._map()], "MJCF": mjcf}
         return {place: "\n".join(lines) for place, lines in places.items() if lines}
+
+    def write(self, model: Path, out: Path) -> None:
+        """Write a model file with the change, except for what stands in the map."""
+        spec = mujoco.MjSpec.from_file(str(model))
+        for tag, values in self._elements():
+            if tag == "option":
+                part = spec.option
+            elif tag in ("joint", "body"):
+                part = getattr(spec, tag)(values["name"])
+            else:
+                part = spec.actuators[values["id"]]
+            for name, value in values.items():
+                _set_attribute(part, name, value)
+        spec.compile()
+        write_whole(out, spec.to_xml().encode())
+
+    def _elements(self) -> Iterator[tuple[str, dict[str, Any]]]:
+        for part in (self._joints, self._actuators, self._bodies, self._options):
+            yield from part()
 
     def _rows(self, *fields: str) -> list[int]:
         """Return the rows of fields of the model that change."""
@@ -67,37 +91,37 @@ class Change:
             found |= set(np.nonzero(old != new)[0].tolist())
         return sorted(found)
 
-    def _joints(self) -> Iterator[str]:
+    def _joints(self) -> Iterator[tuple[str, dict[str, Any]]]:
         model = self.after.model
         for attribute, field in JOINT_FIELDS.items():
             for dof in self._rows(field):
                 name = model.joint(model.dof_jntid[dof]).name
                 value = getattr(model, field)[dof]
-                yield _element("joint", {"name": name, attribute: value})
+                yield "joint", {"name": name, attribute: value}
         for index in self._rows("jnt_range"):
             joint = model.joint(index)
             is_hinge = joint.type[0] == mujoco.mjtJoint.mjJNT_HINGE.value
             unit = np.rad2deg(1.0) if is_hinge and self.in_degrees else 1.0
             limits = {"limited": "true", "range": unit * joint.range}
-            yield _element("joint", {"name": joint.name, **limits})
+            yield "joint", {"name": joint.name, **limits}
 
-    def _actuators(self) -> Iterator[str]:
+    def _actuators(self) -> Iterator[tuple[str, dict[str, Any]]]:
         laws = self._rows("actuator_gainprm", "actuator_biasprm")
         efforts = self._rows("actuator_forcerange")
         for index in sorted({*laws, *efforts}):
             drive = self.after.model.actuator(index)
             file = self.replayer.model.actuator(index)
             joint = self.replayer.model.joint(file.trnid[0]).name
-            values: dict[str, Any] = {"name": file.name, "joint": joint}
+            values: dict[str, Any] = {"id": index, "name": file.name, "joint": joint}
             gear, is_servo = abs(file.gear[0]), file.biasprm[1] != 0.0
             if is_servo:
                 values["kp"], values["kv"] = -drive.biasprm[1:3] / gear**2
             if index in efforts:
                 values["forcerange"] = drive.forcerange / gear
-            if len(values) > 2:
-                yield _element("position" if is_servo else "motor", values)
+            if len(values) > 3:
+                yield "position" if is_servo else "motor", values
 
-    def _bodies(self) -> Iterator[str]:
+    def _bodies(self) -> Iterator[tuple[str, dict[str, Any]]]:
         model = self.after.model
         for index in self._rows(*BODY_FIELDS.values()):
             name = model.body(index).name
@@ -105,13 +129,13 @@ class Change:
                 attribute: getattr(model, field)[index]
                 for attribute, field in BODY_FIELDS.items()
             }
-            yield f'<body name="{name}">{_element("inertial", numbers)}</body>'
+            yield "body", {"name": name, **numbers}
 
-    def _options(self) -> Iterator[str]:
+    def _options(self) -> Iterator[tuple[str, dict[str, Any]]]:
         old, new = self.before.model.opt, self.after.model.opt
         for name in ("gravity", "timestep"):
             if np.any(getattr(old, name) != getattr(new, name)):
-                yield _element("option", {name: getattr(new, name)})
+                yield "option", {name: getattr(new, name)}
 
     def _map(self) -> Iterator[str]:
         mapped = self.mapped
@@ -166,12 +190,37 @@ def _items(table: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _element(tag: str, attributes: Mapping[str, Any]) -> str:
-    texts = [
-        f'{name}="{_text(value)}"'
+    texts = {
+        name: f'{name}="{_text(value)}"'
         for name, value in attributes.items()
-        if not isinstance(value, str) or value
-    ]
-    return f"<{tag} {' '.join(texts)}/>"
+        if name != "id" and (not isinstance(value, str) or value)
+    }
+    if tag != "body":
+        return f"<{tag} {' '.join(texts.values())}/>"
+    body = texts.pop("name")
+    return f"<body {body}><inertial {' '.join(texts.values())}/></body>"
+
+
+def _set_attribute(part: Any, name: str, value: Any) -> None:
+    """Give a number to a part of a specification."""
+    if name == "kp":
+        part.gainprm[0], part.biasprm[1] = value, -value
+        part.gaintype = mujoco.mjtGain.mjGAIN_FIXED
+        part.biastype = mujoco.mjtBias.mjBIAS_AFFINE
+    elif name == "kv":
+        part.biasprm[2] = -value
+    elif name == "damping":
+        part.damping[0] = value
+    elif name == "limited":
+        part.limited = mujoco.mjtLimited.mjLIMITED_TRUE
+    elif name == "forcerange":
+        part.forcelimited = mujoco.mjtLimited.mjLIMITED_TRUE
+        part.forcerange = value
+    elif name in BODY_FIELDS:
+        part.explicitinertial = True
+        setattr(part, SPEC_FIELDS.get(name, name), value)
+    elif name not in ("id", "name", "joint"):
+        setattr(part, name, value)
 
 
 def _text(value: ArrayLike | str) -> str:

@@ -5,18 +5,24 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import mujoco
 import numpy as np
 from scipy.interpolate import make_interp_spline
 
 from gauge_envs.pages.document import Document, Paragraph, Part, Tone
-from gauge_envs.pages.figures import OURS, REAL, legend_above, new_figure, tidy_axis
 from gauge_envs.pages.table import Column, Table
 from gauge_envs.tools.replay.causes import Cause, candidates
 from gauge_envs.tools.replay.conventions import find_conventions, fixed_base
-from gauge_envs.tools.replay.fit import THRESHOLDS, Explanation, Fit, Problem, explain
+from gauge_envs.tools.replay.fit import (
+    THRESHOLDS,
+    Explanation,
+    Fit,
+    Interval,
+    Problem,
+    explain,
+)
 from gauge_envs.tools.replay.log import FloatArray, Log, LogMap, read_log
 from gauge_envs.tools.replay.model import (
     UNLIMITED,
@@ -32,22 +38,17 @@ from gauge_envs.tools.replay.observation import check_observation
 from gauge_envs.tools.replay.paste import Change
 from gauge_envs.tools.replay.schema import (
     Explained,
+    ExplanationLine,
     JointReport,
     Prediction,
-    ReplayLine,
     ReplayVerdict,
     Trial,
     Value,
 )
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 HORIZONS_S = {0.0: 400, 0.1: 300, 0.5: 120}
 """Lengths of the predictions of the table, and their number; the first is one interval of the log."""
 NOISE_PIECES = 4
-LEAVES = 4.0
-"""Error over noise at which a prediction has left the noise, twice in a row."""
 MIN_CORRELATION = 0.99
 """Correlation of the commands from which on a second log is a repeat of the first."""
 MIN_LEAD = 0.5
@@ -56,9 +57,6 @@ TRIAL_S = 0.5
 MAX_ROWS = 12
 """Joints that the text shows, those with the largest error first."""
 MAX_CAUSES = 4
-MAX_FIGURE_ROWS = 4
-FIGURE_PREDICTIONS = 40
-FIGURE_HORIZON_S = 0.25
 
 
 @dataclass(frozen=True)
@@ -71,7 +69,7 @@ class ReplayResult:
         change: The fit that the report is about; None where the model predicts the log.
     """
 
-    line: ReplayLine
+    line: ExplanationLine
     problem: Problem
     change: Fit | None
 
@@ -128,7 +126,7 @@ def replay(
     with quiet_engine():
         mapped, mistakes = find_conventions(read, compiled, given)
         logs, explanation, misfit = explained(mapped)
-        if mistakes:
+        if mistakes and explanation.verdict is not ReplayVerdict.NOISE:
             # A cause may explain as well what another convention does.
             other = explained(given)
             if misfit > other[2] + MIN_LEAD:
@@ -160,35 +158,34 @@ def replay(
 
 def _line(
     logs: Sequence[Log], model: str, explanation: Explanation, mistakes: Sequence[str]
-) -> ReplayLine:
+) -> ExplanationLine:
     """Return the report without its sentence and the lines to paste."""
     problem, several = explanation.problem, explanation.several
     change = explanation.change or problem.before
     *baseline, explained = logs
-    joints, conditions = _joint_reports(problem, _repeat(logs[0], explained))
     alone = [_explained(problem, fit)[0] for fit in explanation.fits]
     together = _explained(problem, several) if several else []
     found = [text for each in logs for text in each.findings]
-    for start in problem.left_out:
+    for first, *_, last in problem.replayer.left_out:
+        begin_s, end_s = explained.time_s[[first, last]]
         found.append(
-            f"0.25 s from {explained.time_s[start]:.3g} s on are unlike the rest, and left out"
+            f"{begin_s:.3g} to {end_s:.3g} s are unlike the rest, and left out"
         )
     wrong = (text for each in logs for text in each.mistakes)
-    return ReplayLine(
+    return ExplanationLine(
         log=explained.name,
         baseline=baseline[0].name if baseline else None,
         model=model,
         verdict=ReplayVerdict.LOG if mistakes else explanation.verdict,
         sentence="",
-        error_over_noise=problem.before.error,
-        error_after=change.error,
+        error_over_noise=1.0 + problem.excess(problem.before),
+        error_after=1.0 + problem.excess(change),
         baseline_over_noise=problem.floor if baseline else None,
         findings=tuple(dict.fromkeys(found)),
         mistakes=tuple(dict.fromkeys([*mistakes, *wrong])),
         policy=(),
         trial=_try_change(problem, change),
-        joints=joints,
-        conditions=conditions,
+        joints=_joint_reports(problem, _repeat(logs[0], explained)),
         candidates=tuple(alone),
         indistinguishable=tuple(explanation.indistinguishable),
         named=tuple(_named(explanation.verdict, alone, together)),
@@ -233,8 +230,8 @@ def _rms(values: FloatArray) -> Any:
 
 def _joint_reports(
     problem: Problem, repeat: Sequence[float] | None
-) -> tuple[tuple[JointReport, ...], dict[str, float]]:
-    """Return predictions over each horizon by joint, and the error over noise by condition."""
+) -> tuple[JointReport, ...]:
+    """Return predictions over each horizon by joint, the worst first."""
     replayer, setup = problem.replayer, problem.setup
     log, is_joint = replayer.log, replayer.is_joint
     predictions = []
@@ -243,36 +240,23 @@ def _joint_reports(
         few = replayer.pieces(horizon_s, NOISE_PIECES, outputs=1)
         variance = np.diagonal(replayer.covariance(setup, few), axis1=1, axis2=2)
         noise = np.sqrt(np.median(variance[:, is_joint], axis=0))
-        error = replayer.predict(setup, pieces)[:, 0, is_joint]
-        starts, ends = pieces.T
-        moved = log.position[ends] - log.position[starts]
-        elapsed_s = log.time_s[pieces[:, 1:]] - log.time_s[pieces[:, :1]]
-        kept = elapsed_s * log.velocity[starts]
-        rms, motion = _rms(error), np.maximum(_rms(moved), 1e-9)
-        numbers = np.transpose([rms, rms / noise, rms / motion, _rms(kept - moved)])
+        rms = _rms(replayer.predict(setup, pieces)[:, 0, is_joint])
+        kept = _rms(replayer.keep_velocity(pieces)[:, 0, is_joint])
+        moved = np.diff(log.position[pieces], axis=1)[:, 0]
+        motion = np.maximum(_rms(moved), 1e-9)
+        numbers = np.transpose([rms, rms / noise, rms / motion, kept])
         length_s = horizon_s or log.interval_s
         predictions.append([Prediction(length_s, *row) for row in numbers])
-        if horizon_s == 0.1:
-            ratio, times_s = np.abs(error / noise), log.time_s[starts]
-            conditions = replayer.conditions(setup, starts)[0]
-    is_far = (ratio[:-1] > LEAVES) & (ratio[1:] > LEAVES)
     reports = []
     for joint, rows in enumerate(zip(*predictions, strict=True)):
-        first = np.flatnonzero(is_far[:, joint])[:1]
         report = JointReport(
             joint=log.joints[joint],
             noise=log.position_noise[joint],
-            parts_s=times_s[first[0]] if len(first) else None,
-            condition="".join(conditions[first, joint]),
             repeat_rms=repeat[joint] if repeat else None,
             predictions=rows,
         )
         reports.append(report)
-    reports.sort(key=lambda row: -row.predictions[1].over_noise)
-    by_condition = {
-        name: _rms(ratio[conditions == name]) for name in np.unique(conditions).tolist()
-    }
-    return tuple(reports), by_condition
+    return tuple(sorted(reports, key=lambda row: -row.predictions[1].over_noise))
 
 
 def _repeat(first: Log, second: Log) -> Sequence[float] | None:
@@ -295,29 +279,33 @@ def _repeat(first: Log, second: Log) -> Sequence[float] | None:
 def _explained(problem: Problem, fit: Fit) -> list[Explained]:
     """Return the causes of a fit as they are printed."""
     explained, step_s = [], problem.replayer.log.command_interval_s
-    half = np.nan * fit.numbers if fit.half_width is None else fit.half_width
-    trials = (fit.numbers, fit.numbers - half, fit.numbers + half)
-    for terms in zip(*map(fit.split, trials), strict=True):
-        cause, group = terms[0][0]
-        columns = [cause.present, *(cause.values(group, trial) for _, trial in terms)]
-        rows, values = np.transpose(columns), []
-        for k in np.flatnonzero(group.selection.any(axis=1)):
-            present, fitted, low, high = rows[k].tolist()
-            changes = low > present or high < present
-            now = present if abs(present) < UNLIMITED else None
-            ends = (None, None) if np.isnan(low) else (low, high)
-            values.append(
-                Value(cause.parameters[k], now, fitted, ends[0], ends[1], changes)
-            )
+    for interval in fit.intervals():
+        cause, values = interval.cause, fitted_values(interval)
         row = Explained(
             cause=cause.name,
-            text=_text(cause, group.label, values, step_s),
+            text=_text(cause, interval.group.label, values, step_s),
             share=problem.share(fit),
             unit=cause.unit,
             values=tuple(values),
         )
         explained.append(row)
     return explained
+
+
+def fitted_values(interval: Interval) -> list[Value]:
+    """Return the values of a cause that a fit changes."""
+    cause, group, *columns = interval
+    rows = np.transpose([cause.present, *columns]).tolist()
+    values = []
+    for k in np.flatnonzero(group.selection.any(axis=1)).tolist():
+        present, fitted, low, high = rows[k]
+        changes = low > present or high < present
+        now = present if abs(present) < UNLIMITED else None
+        ends = (None, None) if np.isnan(low) else (low, high)
+        values.append(
+            Value(cause.parameters[k], now, fitted, ends[0], ends[1], changes)
+        )
+    return values
 
 
 def _text(cause: Cause, label: str, values: Sequence[Value], step_s: float) -> str:
@@ -339,14 +327,14 @@ def _text(cause: Cause, label: str, values: Sequence[Value], step_s: float) -> s
     return f"{name}: {', '.join(texts)}{unit}"
 
 
-def _sentence(line: ReplayLine) -> str:
+def _sentence(line: ExplanationLine) -> str:
     """Return the answer: mistakes of the log, what is missing in the model, and what is left."""
     parts = [f"The log is wrong: {text}." for text in line.mistakes]
     parts += [f"The policy sees {text}." for text in line.policy]
     return " ".join([*parts, *_physics(line)])
 
 
-def _physics(line: ReplayLine) -> Iterator[str]:
+def _physics(line: ExplanationLine) -> Iterator[str]:
     """Yield the sentences about the model."""
     times, trial = np.sqrt(line.error_after), line.trial
     if not line.candidates:
@@ -377,7 +365,7 @@ def _physics(line: ReplayLine) -> Iterator[str]:
         yield f"{times:.0f} times the noise is left; nothing in the list explains that."
 
 
-def replay_document(line: ReplayLine) -> Document:
+def replay_document(line: ExplanationLine) -> Document:
     """Return the answer, a table by joint, a table by cause, and the lines to paste."""
     warnings = [f"Log: {text}." for text in line.findings]
     if line.indistinguishable:
@@ -393,7 +381,6 @@ def replay_document(line: ReplayLine) -> Document:
         "predictions.1.held_velocity_rms": ("const. vel.", _milli),
         "predictions.2.rms": ("0.5 s", _milli),
         "repeat_rms": ("repeat", _milli),
-        "parts_s": ("differs at s", _ratio),
     }
     if line.joints[0].repeat_rms is None:
         del numbers["repeat_rms"]
@@ -406,13 +393,10 @@ def replay_document(line: ReplayLine) -> Document:
         *(Paragraph(text, Tone.WARNING) for text in warnings),
         Table(
             title=f"Predictions from recorded states [mrad or mm], worst of {len(line.joints)} joints first",
-            columns=(Column("joint", "joint"), *columns, Column("condition", "in")),
+            columns=(Column("joint", "joint"), *columns),
             rows=line.joints[:MAX_ROWS],
         ),
     ]
-    if len(line.conditions) > 1:
-        texts = [f"{name} {value:.3g}" for name, value in line.conditions.items()]
-        parts.append(Paragraph(f"Error over noise after 0.1 s: {', '.join(texts)}."))
     if line.several and len(line.named) != 1:
         parts.append(_cause_table("Together", line.several))
     if line.candidates:
@@ -449,38 +433,3 @@ def _cause_table(title: str, causes: Sequence[Explained]) -> Table:
         ),
         rows=causes,
     )
-
-
-def replay_figure(replay: ReplayResult) -> Figure:
-    """Return a figure with a row for each of the joints that differ most.
-
-    A row has the log, predictions from recorded states before and after the change, and the time at which they part.
-    """
-    problem, replayer = replay.problem, replay.problem.replayer
-    log, rows = replayer.log, replay.line.joints[:MAX_FIGURE_ROWS]
-    setups = {"model": problem.setup}
-    if replay.change is not None:
-        setups["after the change"] = problem.setup_of(replay.change)
-    pieces = replayer.pieces(FIGURE_HORIZON_S, FIGURE_PREDICTIONS)
-    samples = pieces[:, 1:]
-    deviations = [
-        replayer.predict(setup, pieces)[..., replayer.is_joint]
-        for setup in setups.values()
-    ]
-    figure = new_figure(10.0, 2.0 * len(rows) + 0.8)
-    axes = figure.subplots(len(rows), squeeze=False, sharex=True)[:, 0]
-    for axis, row in zip(axes, rows, strict=True):
-        joint = log.joints.index(row.joint)
-        angle = log.position[:, joint]
-        axis.plot(log.time_s, angle, color=REAL, lw=2.4, alpha=0.4, label="log")
-        for name, color, deviation in zip(setups, OURS, deviations, strict=False):
-            predicted = angle[samples] + deviation[..., joint]
-            curves = axis.plot(log.time_s[samples].T, predicted.T, color=color, lw=1.2)
-            curves[0].set_label(name)
-        if row.parts_s is not None:
-            axis.axvline(row.parts_s, color=REAL, lw=0.8, ls=":")
-        axis.set_ylabel(f"{row.joint} [rad or m]", fontsize=8)
-        tidy_axis(axis)
-    legend_above(axes[0])
-    axes[-1].set_xlabel("time [s]")
-    return figure

@@ -1,10 +1,11 @@
-"""What `gauge replay` prints with `--json`: one object."""
+"""What `gauge replay` prints with `--json`."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import TypeAlias
 
 
 class ReplayVerdict(StrEnum):
@@ -44,21 +45,17 @@ class Prediction:
 
 @dataclass(frozen=True)
 class JointReport:
-    """Where the prediction of a joint leaves the noise.
+    """Predictions of a joint.
 
     Attributes:
         joint: Name of the joint.
         noise: Standard deviation of the noise of the log [rad or m].
-        parts_s: First time at which predictions of 0.1 s leave the noise; None if they never do.
-        condition: Condition of the joint then: free, contact, limit or saturation; empty if they never do.
         repeat_rms: Difference to the first log, where two logs have the same commands [rad or m].
         predictions: One for each horizon.
     """
 
     joint: str
     noise: float
-    parts_s: float | None
-    condition: str
     repeat_rms: float | None
     predictions: tuple[Prediction, ...]
 
@@ -121,7 +118,7 @@ class Trial:
 
 
 @dataclass(frozen=True)
-class ReplayLine:
+class ExplanationLine:
     """What a log and a model say of each other.
 
     Attributes:
@@ -138,7 +135,6 @@ class ReplayLine:
         policy: Terms of the observation that differ from the state.
         trial: Predictions before and after the change.
         joints: A row a joint.
-        conditions: Error over noise of predictions of 0.1 s by condition.
         candidates: Causes alone, the best first.
         indistinguishable: Causes that the log cannot tell from the first.
         named: The causes that the verdict is about.
@@ -159,9 +155,53 @@ class ReplayLine:
     policy: tuple[str, ...]
     trial: Trial
     joints: tuple[JointReport, ...]
-    conditions: Mapping[str, float]
     candidates: tuple[Explained, ...]
     indistinguishable: tuple[str, ...]
     named: tuple[Explained, ...]
     several: tuple[Explained, ...]
     paste: Mapping[str, str]
+
+
+@dataclass(frozen=True)
+class ModelLine:
+    """Predictions of a model over a horizon, from recorded states.
+
+    Attributes:
+        model: The model.
+        horizon_s: Length of the predictions [s].
+        rms: Root mean square error over the joints [rad or m].
+        over_noise: The same over the noise of a motion with the recorded velocity.
+        over_nominal: Geometric mean over the pieces of its error over that of the first model.
+        low, high: 95 % interval of this ratio.
+        better: `nominal`, `yes`, `no`, or `cannot tell`.
+    """
+
+    model: str
+    horizon_s: float
+    rms: float
+    over_noise: float
+    over_nominal: float
+    low: float
+    high: float
+    better: str
+
+
+@dataclass(frozen=True)
+class ConstantsLine:
+    """Constants that were fitted to logs.
+
+    Attributes:
+        values: The constants.
+        unknown: Constants that the logs do not determine; they keep the present values.
+        predictions: Predictions without and with the constants, over each horizon.
+        paste: Lines to paste by place.
+    """
+
+    values: tuple[Value, ...]
+    unknown: tuple[str, ...]
+    predictions: tuple[ModelLine, ...]
+    paste: Mapping[str, str]
+
+
+ReplayLine: TypeAlias = ExplanationLine | ModelLine | ConstantsLine
+"""A line of `gauge replay --json`: of a log and a model, of each of several models, or of fitted constants."""

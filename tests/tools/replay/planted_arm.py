@@ -57,6 +57,17 @@ SERVO = """
   <actuator><position joint="joint" kp="8"/></actuator>
 </mujoco>
 """
+PENDULUM = """
+<mujoco>
+  <option timestep="0.002" integrator="implicitfast"/>
+  <worldbody>
+    <body>
+      <joint name="pivot" axis="0 1 0"/>
+      <geom type="sphere" size="0.01" pos="0 0 -0.15" mass="0.15"/>
+    </body>
+  </worldbody>
+</mujoco>
+"""
 INTERVAL_S = 0.02
 
 
@@ -95,4 +106,26 @@ def record(
     log, file = folder / "log.npz", folder / "robot.xml"
     np.savez(log, t=times_s, q=position, dq=velocity, target=targets, joints=names)
     file.write_text(robot)
+    return log, file
+
+
+def swing(folder: Path, dry: float, viscous: float) -> tuple[Path, Path]:
+    """Return a log of a passive pendulum without velocities, by an integrator of its own, and the model."""
+    mass_m, gravity = 0.15 * 0.15, 9.81
+    inertia = 0.15 * 0.15**2 + 0.4 * 0.15 * 0.01**2
+    angle, speed, step_s = 2.6, 0.0, 1e-4
+    angles = []
+    for step in range(round(12.0 / step_s)):
+        if step % round(INTERVAL_S / step_s) == 0:
+            angles.append(angle)
+        torque = -mass_m * gravity * np.sin(angle) - viscous * speed
+        loss = min(dry, abs(inertia * speed / step_s + torque))
+        torque -= loss * np.sign(inertia * speed / step_s + torque)
+        speed += step_s * torque / inertia
+        angle += step_s * speed
+    log, file = folder / "log.npz", folder / "robot.xml"
+    noise = 1e-4 * np.random.default_rng(0).normal(size=len(angles))
+    times_s = INTERVAL_S * np.arange(len(angles))
+    np.savez(log, t=times_s, q_pivot=np.array(angles) + noise)
+    file.write_text(PENDULUM)
     return log, file

@@ -1,0 +1,96 @@
+"""Constants of servos are fitted to logs, and models are judged by logs that no fit has seen."""
+
+import json
+
+import numpy as np
+import pytest
+from planted_arm import ARM, SERVO, record
+
+from gauge_envs.errors import ParameterError
+from gauge_envs.tools.replay.constants import fit_logs
+from gauge_envs.tools.replay.judge import judge_models
+from gauge_envs.tools.replay.log import LogMap
+
+
+def set_servo(model):
+    model.actuator_gainprm[0, 0] = 12.0
+    model.actuator_biasprm[0, 1] = -12.0
+    model.dof_armature[0] = 0.024
+    model.dof_damping[:] *= 2.0
+
+
+@pytest.fixture(scope="module")
+def servo(tmp_path_factory):
+    """Two logs of a servo with other constants than its model."""
+    files = []
+    for duration_s in (6.0, 4.0):
+        folder = tmp_path_factory.mktemp("servo")
+        planted = {"change": set_servo, "delay_s": 0.01, "duration_s": duration_s}
+        files.append(record(folder, robot=SERVO, **planted))
+    return files
+
+
+def test_fitted_constants_predict_another_log(gauge, servo, tmp_path):
+    (log, model), (other, _) = servo
+    fitted = tmp_path / "fitted.xml"
+    names = "delay,kp,armature,damping"
+    options = ("--model", model, "--fit", names, "--test", other, "--write", fitted)
+    shown = gauge("replay", log, *options, "--json")
+    assert shown.exit_code == 0
+    line = json.loads(shown.stdout)
+    values = {each["parameter"]: each["fitted"] for each in line["values"]}
+    assert values["delay of delay"] == pytest.approx(0.01, abs=0.001)
+    armature = values["armature of joint"]
+    assert values["kp of joint"] / armature == pytest.approx(500.0, rel=0.05)
+    assert values["damping of joint"] / armature == pytest.approx(25.0, rel=0.05)
+    assert [each["better"] for each in line["predictions"]] == ["nominal", "yes"] * 2
+    # The file has all but the delay, which stands in the map.
+    delayed = tmp_path / "map.toml"
+    delayed.write_text(line["paste"]["map"])
+    files = ("--model", model, "--model", fitted, "--map", delayed)
+    text = gauge("replay", other, *files).stdout
+    assert "fitted.xml predicts best over" in text
+
+
+def test_a_model_is_not_better_than_itself(servo):
+    (log, model), _ = servo
+    lines = judge_models([log], [model, model], LogMap())
+    assert {line.over_nominal for line in lines} == {1.0}
+
+
+def test_noise_makes_no_model_better(tmp_path):
+    """A damping that is off by 0.1 % changes less than the noise."""
+    log, model = record(tmp_path, robot=SERVO)
+    near = tmp_path / "near.xml"
+    near.write_text(SERVO.replace('damping="0.3"', 'damping="0.3003"'))
+    far = tmp_path / "far.xml"
+    far.write_text(SERVO.replace('damping="0.3"', 'damping="0.6"'))
+    lines = judge_models([log], [model, near, far], LogMap())
+    found = {(line.model, line.horizon_s): line for line in lines}
+    assert found["near.xml", 0.1].over_nominal == pytest.approx(1.0, abs=0.02)
+    assert found["far.xml", 0.1].better == "no"
+
+
+def test_a_constant_that_a_log_does_not_show_is_said(tmp_path):
+    """A joint that rests shows no friction of its drive, armature or damping."""
+    log, model = record(tmp_path, robot=ARM)
+    columns = dict(np.load(log))
+    for name in ("q", "dq", "target"):
+        columns[name] = 0.0 * columns[name] + 1e-5 * np.sin(columns["t"])[:, None]
+    np.savez(log, **columns)
+    line = fit_logs([log], model, (), ["armature"], ["elbow"], LogMap())
+    assert line.unknown == ("armature of elbow",)
+    assert line.paste == {}
+
+
+@pytest.mark.parametrize(
+    ("names", "joints", "words"),
+    [
+        (["inertia"], [], "--fit inertia: expected some of"),
+        (["armature"], ["wrist"], "--joint wrist: the log has"),
+    ],
+)
+def test_unknown_names_are_named(servo, names, joints, words):
+    (log, model), _ = servo
+    with pytest.raises(ParameterError, match=words):
+        fit_logs([log], model, (), names, joints, LogMap())
