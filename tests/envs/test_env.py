@@ -41,7 +41,7 @@ from gauge_envs.references.kind import Kind
 G = 9.80665
 SLIDE, TILTED = "SlopeSlider-2-wood", "SlopeSlider-3-metal"
 TURNTABLE, BALL = "Turntable-1-wood", "BouncingBall-rubber"
-SILENT = "GAUGE/RopeWinding-rubber"
+SILENT = "GAUGE/RotatingBall-satin"
 
 
 def make(name, **options):

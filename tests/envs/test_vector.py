@@ -284,7 +284,7 @@ def test_a_world_that_diverged_has_no_score_and_its_own_length():
 
 def test_arrays_need_a_reference_and_a_native_vector_environment():
     with pytest.raises(ParameterError, match="needs a reference, and it has none"):
-        make("RopeWinding-rubber", score_arrays=True)
+        make("RotatingBall-satin", score_arrays=True)
     with pytest.raises(ParameterError, match="expected a GaugeVectorEnv"):
         ScoreEpisodes(SyncVectorEnv([lambda: GaugeEnv(SLIDE)]), arrays=True)
 

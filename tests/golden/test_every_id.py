@@ -90,6 +90,8 @@ def test_the_documented_answers_are_those_of_the_episodes():
     assert list(documented) == IDS
     absent = {"solves": "no solution", "like_reality": "-"}
     for name, entry in STORED["episodes"].items():
+        if golden.family_of(name) in golden.CHAOTIC:
+            continue
         answers = entry.get("answers", [None, None])
         for field, answer in zip(("solves", "like_reality"), answers, strict=True):
             assert documented[name][field] == (answer or absent[field]), name

@@ -26,8 +26,8 @@ NO_NUMBERS = np.zeros(0)
 class Thresholds:
     """What decides which causes are fitted, and which are named.
 
-    `studies/replay` counts right answers with these numbers on planted faults. An error is a mean squared residual over that of the noise: 1 for a
-    right model. The excess is the error minus that of a perfect model.
+    `studies/replay` counts right answers with these numbers on planted faults. An error is a mean squared residual over
+    that of the noise: 1 for a right model. The excess is the error minus that of a perfect model.
 
     Attributes:
         piece_s: Length of the predictions that are fitted first [s].
