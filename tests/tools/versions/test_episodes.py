@@ -1,6 +1,7 @@
 """Compare episodes on two sides: motions of an experiment, and returns of a policy."""
 
 import json
+from functools import cache
 
 import numpy as np
 import pytest
@@ -38,6 +39,14 @@ def test_a_release_of_an_engine_does_not_differ_from_itself(tmp_path, monkeypatc
     assert comparison.noise > 0.0
 
 
+@cache
+def dropped():
+    """Return the result of one episode."""
+    task = {"title": "", "subject": "BouncingBall-rubber", "seed": 0}
+    (output,) = environments.work("simulate", task, read_sides("mujoco"))
+    return json.loads(str(output["results"][0]))
+
+
 @pytest.mark.parametrize(
     ("share", "verdict"),
     [(5.0, VersionsVerdict.SAME), (20.0, VersionsVerdict.DIFFERENT)],
@@ -46,12 +55,7 @@ def test_a_difference_of_less_than_ten_times_the_noise_is_no_difference(
     monkeypatch, share, verdict
 ):
     """Both sides shift by 1e-3 mm with the jitter; one side shifts by a multiple of that."""
-    (output,) = environments.work(
-        "simulate",
-        {"title": "", "subject": "BouncingBall-rubber", "seed": 0},
-        read_sides("mujoco"),
-    )
-    result = json.loads(str(output["results"][0]))
+    result = dropped()
 
     def shifted(shift_mm):
         samples = np.array(result["trajectory"]["samples"])

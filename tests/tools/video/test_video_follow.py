@@ -173,16 +173,16 @@ def zoomed(frames):
 
 FAULTS = [
     (SLIDE, second, "a second object of the same shape and colour is visible in"),
-    (SLIDE, replaced, "changes its look"),
-    (SLIDE, vanished, "vanishes after frame"),
-    (SLIDE, zoomed, "the camera moves from frame"),
+    pytest.param(SLIDE, replaced, "changes its look", marks=pytest.mark.slow),
+    pytest.param(SLIDE, vanished, "vanishes after frame", marks=pytest.mark.slow),
+    pytest.param(SLIDE, zoomed, "the camera moves from frame", marks=pytest.mark.slow),
     (SLIDE, mirrored, "of its size from its place in the known first frame"),
     (SLIDE, cut, "the camera moves from frame 20"),
     (SLIDE, missing, "frames seem to be missing, 2 before frame 18"),
 ]
 
 
-@pytest.mark.parametrize("task", [SLIDE, PLASTIC])
+@pytest.mark.parametrize("task", [SLIDE, pytest.param(PLASTIC, marks=pytest.mark.slow)])
 def test_the_film_without_a_fault_is_sound(task):
     assert scored(film(task).frames, film(task).fps, task).is_sound
 

@@ -49,7 +49,7 @@ def check_metrics(metrics, truth):
     ("task", "metric", "power", "seed"),
     [
         (SLIDE.id, "acceleration_m_s2", 2.0, 104),
-        (PENDULUM.id, "pd", -1.0, 104),
+        pytest.param(PENDULUM.id, "pd", -1.0, 104, marks=pytest.mark.slow),
     ],
 )
 def test_the_interval_of_a_film_contains_the_truth(task, metric, power, seed):
