@@ -18,7 +18,7 @@ from gauge_envs.fixtures.drop import RADIUS_M
 from gauge_envs.fixtures.parts import ball, box, contact, ground, thrown
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G, Scene
 from gauge_envs.tools.sanity.model_checks.ground import FELL
-from gauge_envs.tools.sanity.model_checks.runs import rest, start_data
+from gauge_envs.tools.sanity.model_checks.runs import has_diverged, rest, start_data
 from gauge_envs.tools.sanity.object_checks.check import Scenario, lowest_m
 from gauge_envs.tools.sanity.object_checks.measure import Measurements
 from gauge_envs.tools.sanity.robot.robot import Robot
@@ -216,16 +216,21 @@ def _motion(robot: Robot) -> tuple[float, bool]:
     return 1e3 * rise_m, stands
 
 
-def speed_ratio(before: Robot, after: Robot) -> float:
-    """Return the simulated time of a model in a second of the processor with a change, over that without."""
+def speed_ratio(before: Robot, after: Robot) -> float | None:
+    """Return the simulated time of a model in a second of the processor with a change, over that without.
+
+    None where one of both states diverges, as a state that is reset costs another time.
+    """
     models = before.model, after.model
-    runs = [(model, mujoco.MjData(model), list[float]()) for model in models]
+    runs = [(model, start_data(model), list[float]()) for model in models]
     for _ in range(SPEED_BLOCKS):
         for model, data, speeds in runs:
             started, before_s, spent_s = time.process_time(), data.time, 0.0
             while spent_s < BLOCK_S:
                 mujoco.mj_step(model, data, nstep=10)
                 spent_s = time.process_time() - started
+            if has_diverged(data):
+                return None
             speeds.append((data.time - before_s) / spent_s)
     slow, fast = (max(speeds) for _, _, speeds in runs)
     return fast / slow
