@@ -73,7 +73,7 @@ MISTAKES = [
     ),
     ("start-command", "commands elbow to 2", {"command": "2"}, {"command": "1.5"}),
     ("start-overlap", "20 mm", {"height": ".03"}, {"height": ".048"}),
-    ("start-tendon", "of its joints", {"cord": ".4 .6"}, {"cord": "-.1 .1"}),
+    ("start-tendon", "0 rad, outside", {"cord": ".4 .6"}, {"cord": "-.1 .1"}),
     (
         "names",
         "left_tip, on the other side",

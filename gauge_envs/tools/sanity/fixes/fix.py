@@ -157,9 +157,7 @@ class FixSearch:
         changed = self._changed(changes)
         if changed is None:
             return True
-        if changed.backend == "mujoco" and contact_harm(
-            self.measurements, self.configuration, changed
-        ):
+        if changed.backend == "mujoco" and contact_harm(self.configuration, changed):
             return True
         robot = self.configuration.robot
         if robot and changed.robot and motion_harm(robot, changed.robot):
