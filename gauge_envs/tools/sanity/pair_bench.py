@@ -215,36 +215,28 @@ class Bench:
     def values(self) -> list[Value]:
         """Return what follows from the contact, each with its law; friction is left out for a contact without."""
         values = list[Value]()
+
+        def add(
+            name: str, value: float, unit: str, law: float | None, width: float
+        ) -> None:
+            values.append(Value(name, value, unit, law, width))
+
         rebound, ratios = self.impacts()
         if self.friction:
             own = self.touch.pull_n / (self.friction * self.touch.load_n)
-            creep = self._creep_um_per_s(min(own, SHARES[0]))
-            values.append(Value("creep in the run", creep, "um/s", 0.0, 100.0))
-            for share in SHARES:
-                name, creep = (
-                    f"creep at {share:g} of the limit",
-                    self._creep_um_per_s(share),
-                )
-                values.append(Value(name, creep, "um/s", 0.0, 100.0))
+            shares = {f"at {share:g} of the limit": share for share in SHARES}
+            for name, share in {"in the run": min(own, SHARES[0]), **shares}.items():
+                speed = self._creep_um_per_s(share)
+                add(f"creep {name}", speed, "um/s", 0.0, 100.0)
             for angle_deg in (0.0, 45.0):
-                ratio = self._slide(math.radians(angle_deg))
-                values.append(
-                    Value(
-                        f"slide at {angle_deg:g} degrees over Coulomb",
-                        ratio,
-                        "",
-                        1.0,
-                        0.03,
-                    )
-                )
+                name = f"slide at {angle_deg:g} degrees over Coulomb"
+                add(name, self._slide(math.radians(angle_deg)), "", 1.0, 0.03)
             for speed in (1.0, FAST_M_PER_S):
-                rise_mm = self.hop_mm(speed)
-                values.append(Value(f"hop at {speed:g} m/s", rise_mm, "mm", 0.0, 5.0))
-        values.append(Value("depth under load", 1e6 * self._rest[0], "um", 0.0, 500.0))
-        values.append(Value("rebound", rebound, "", None, 0.05))
-        if self.friction:
-            for name, ratio in ratios.items():
-                values.append(Value(f"{name} impact over Coulomb", ratio, "", 1.0, 0.1))
+                add(f"hop at {speed:g} m/s", self.hop_mm(speed), "mm", 0.0, 5.0)
+        add("depth under load", 1e6 * self._rest[0], "um", 0.0, 500.0)
+        add("rebound", rebound, "", None, 0.05)
+        for name, ratio in ratios.items() if self.friction else ():
+            add(f"{name} impact over Coulomb", ratio, "", 1.0, 0.1)
         return values
 
     # --- measurements ------------------------------------------------------------------------------------------------
@@ -325,11 +317,11 @@ class Bench:
         return float((pull - gained) / (self.friction * (pressed + lifted)))
 
     def hop_mm(self, speed_m_per_s: float) -> float:
-        """Return how high a slide at a speed rises [mm]."""
-        heights = self._run(
-            SETTLE_S, (0.0, 0.0, -G), -self._rest[1], (speed_m_per_s, 0.0, 0.0)
-        )[:, 0]
-        return 1e3 * float(heights.max() - heights[0])
+        """Return how high a slide at a speed rises [mm], also one that does not come to rest before."""
+        velocity = speed_m_per_s, 0.0, 0.0
+        heights_m = self._run(SETTLE_S, (0.0, 0.0, -G), -self._rest[1], velocity)[:, 0]
+        margin_m = float(self.model.pair_margin[0])
+        return 1e3 * float(heights_m.max() - min(heights_m[0], margin_m))
 
     def impacts(self) -> tuple[float, dict[str, float]]:
         """Return the rebound, and friction over Coulomb's law in impacts at three angles from the normal.

@@ -34,9 +34,9 @@ def test_time_constants_of_two_steps_lift_what_slides(cone, impratio):
     assert hops_more(soft, stiff) and not hops_more(stiff, soft)
 
 
-def test_a_state_that_diverges_is_harm():
-    solref = {"contact_solref": (0.002, 1.0)}
-    diverging = block({"timestep_s": 0.05, "refsafe": False, **solref})
+@pytest.mark.parametrize("solref", [(0.002, 1.0), (-1e5, -100.0), (-1e6, -1.0)])
+def test_a_block_that_does_not_stay_on_the_ground_is_harm(solref):
+    diverging = block({"timestep_s": 0.01, "refsafe": False, "contact_solref": solref})
     assert hops_more(5.0, diverging.hop_mm(FAST_M_PER_S))
 
 

@@ -191,9 +191,6 @@ class ObjectCheck:
 RECORDINGS = "scoring/facts/recordings/recordings.toml"
 """File that `recorded` reads; sources name it."""
 
-PUBLISHED_TRIALS = 20
-"""Real trials of each experiment whose scores are published (paper, section on data)."""
-
 
 @cache
 def facts(name: str) -> dict[str, Any]:
@@ -205,21 +202,6 @@ def facts(name: str) -> dict[str, Any]:
 def recorded(recording: str, fact: str) -> dict[str, Any]:
     """Return a measurement in a published recording: `value` and `sigma`, or `low` and `high`."""
     return facts("recordings/recordings")[recording]["facts"][fact]
-
-
-def recorded_reality(
-    recording: str, fact: str, source: str = "one recorded trial"
-) -> Reality:
-    """Return the reality of a measurement in a published recording.
-
-    Args:
-        recording: Name of the recording.
-        fact: Name of the measurement.
-        source: What was recorded.
-    """
-    measured = recorded(recording, fact)
-    value, scatter = measured["value"], measured["sigma"]
-    return Reality.measured(value, scatter, 1, f"{source} ({RECORDINGS})")
 
 
 def acceleration(times_s: FloatArray, displacement_mm: FloatArray) -> float:
