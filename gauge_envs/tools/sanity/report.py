@@ -107,6 +107,9 @@ def answer_text(report: Report) -> str:
         counted(counts[Severity.ERROR], "error"): counts[Severity.ERROR],
         counted(counts[Severity.WARNING], "warning"): counts[Severity.WARNING],
         f"{counts[Severity.ADVICE]} advice": counts[Severity.ADVICE],
+        f"{sum(bool(check.accepted) for check in report.checks)} accepted": any(
+            check.accepted for check in report.checks
+        ),
         f"{counted(passed, 'check')} passed": True,
     }
     texts = [word for word, count in words.items() if count]
@@ -117,11 +120,12 @@ def answer_text(report: Report) -> str:
 
 def workflow_commands(report: Report) -> list[str]:
     """Return a workflow command of GitHub for each error and warning, with its file and line."""
-    commands = {Severity.ERROR: "error", Severity.WARNING: "warning"}
+    # The command begins an escape with a per cent sign.
     return [
-        f"::{commands[result.severity]} file={result.file},line={result.line},title={result.id}::{finding_text(result)}"
+        f"::{result.severity} file={result.file},line={result.line},title={result.id}::"
+        + finding_text(result).replace("%", "%25")
         for result in report.checks
-        if result.severity in commands
+        if result.severity in TONES
     ]
 
 

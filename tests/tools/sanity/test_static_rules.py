@@ -103,7 +103,7 @@ MISTAKES = [
         "stated-margin",
         "10 mm above",
         {"box": 'margin=".01"'},
-        {"box": 'margin=".01" gap=".01"'},
+        {"box": 'gap=".01"'},
     ),
     (
         "stated-friction",
@@ -247,7 +247,7 @@ FIXES = {
         {"box": 'solimp=".9 .1 .001"'},
         'geom "box": solimp="0.1 0.9 0.001 0.5 2"',
     ),
-    "stated-margin": ({"box": 'margin=".01"'}, 'geom "box": gap="0.01"'),
+    "stated-margin": ({"box": 'margin=".01" gap=".01"'}, 'geom "box": margin="0"'),
     "stated-friction": ({"box": 'friction=".3"'}, 'geom "box": priority="1"'),
     "density": ({"mass": "50", "inertia": ".05 .45 .45"}, ""),
 }

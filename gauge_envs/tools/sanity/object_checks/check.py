@@ -188,20 +188,11 @@ class ObjectCheck:
         return (Need.GRAVITY, *contact, *self.needs)
 
 
-RECORDINGS = "scoring/facts/recordings/recordings.toml"
-"""File that `recorded` reads; sources name it."""
-
-
 @cache
 def facts(name: str) -> dict[str, Any]:
     """Return the table of `scoring/facts/<name>.toml`."""
     file = data_folder("scoring") / "facts" / f"{name}.toml"
     return toml_document(file.read_bytes())
-
-
-def recorded(recording: str, fact: str) -> dict[str, Any]:
-    """Return a measurement in a published recording: `value` and `sigma`, or `low` and `high`."""
-    return facts("recordings/recordings")[recording]["facts"][fact]
 
 
 def acceleration(times_s: FloatArray, displacement_mm: FloatArray) -> float:
