@@ -224,7 +224,8 @@ def test_two_targets_are_shown_side_by_side(gauge, tmp_path):
     (tmp_path / "soft.xml").write_text(soft)
     words = ["sanity", "good.xml", "--only", "gravity,rest-height", "--against"]
     assert gauge(*words, "good.xml").exit_code == 0
-    outcome = gauge(*words, "soft.xml", "--json")
+    outcome = gauge(*words, "soft.xml", "--json", "--out", "both.json")
+    assert json.loads((tmp_path / "both.json").read_text())[2]["is_changed"]
     assert outcome.exit_code == 0
     assert gauge(*words, "soft.xml", "--strict").exit_code == 1
     names, gravity, rest = map(json.loads, outcome.stdout.splitlines())

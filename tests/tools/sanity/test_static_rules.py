@@ -3,7 +3,7 @@
 import pytest
 from robot_faults import good_xml
 
-from gauge_envs.errors import TargetError
+from gauge_envs.errors import TargetError, UnknownNameError
 from gauge_envs.tools.sanity import check, configuration
 from gauge_envs.tools.sanity.static_rules import STATIC_RULES
 from gauge_envs.tools.sanity.static_rules.sides import side_of
@@ -225,6 +225,9 @@ def test_a_finding_is_accepted_with_a_reason(tmp_path, monkeypatch):
     assert density_of(tmp_path, HEAVY).accepted == "a weight"
     (tmp_path / "gauge.toml").write_text('[sanity.accept]\ndensity = ""')
     with pytest.raises(TargetError, match="density is accepted without a reason"):
+        density_of(tmp_path, HEAVY)
+    (tmp_path / "gauge.toml").write_text('[sanity.accept]\ndensty = "a weight"')
+    with pytest.raises(UnknownNameError, match="densty"):
         density_of(tmp_path, HEAVY)
 
 
