@@ -205,11 +205,7 @@ class Bench:
     def changed(self, changes: Settings) -> Bench:
         """Return the bench with other settings."""
         model = copy.copy(self.model)
-        for name, value in changes.items():
-            if name in PAIR_FIELDS and value is not None:
-                getattr(model, f"pair_{PAIR_FIELDS[name]}")[:] = value
-            else:
-                set_option(model.opt, name, value)
+        set_pair(model, changes)
         return replace(self, model=model)
 
     def values(self) -> list[Value]:
@@ -349,6 +345,15 @@ class Bench:
             allowed = min(self.friction * pressed, velocity[0])
             ratios.append(taken / allowed if allowed else 1.0)
         return float(np.mean(rebounds)), float(np.mean(ratios))
+
+
+def set_pair(model: mujoco.MjModel, changes: Settings, pair: int | None = 0) -> None:
+    """Set options of a model, and the constants of an explicit pair."""
+    for name, value in changes.items():
+        if name not in PAIR_FIELDS:
+            set_option(model.opt, name, value)
+        elif value is not None:
+            getattr(model, f"pair_{PAIR_FIELDS[name]}")[pair] = value
 
 
 def bench(robot: Robot, touch: Touch, constants: FloatArray) -> Bench:

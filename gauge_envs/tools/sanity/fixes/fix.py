@@ -50,7 +50,11 @@ class FixSearch:
         self.report, self.measurements = report, measurements
         self.configuration = configuration = report.configuration
         self.dialect = dialect(configuration.language)
-        changeable = [result for result in report.checks if _is_changeable(result.id)]
+        changeable = [
+            result
+            for result in report.checks
+            if result.id not in TARGET_CHECKS or TARGET_CHECKS[result.id].is_simulated
+        ]
         # Short scenes come first, the target's own model last.
         self._before = {
             result.id: _outcome_of(result)
@@ -211,11 +215,6 @@ class FixSearch:
         text = f"resolves {counted(len(resolved), 'check')}"
         failing = [name for name in self._flags if name not in resolved]
         return f"{text}, not {', '.join(failing)}" if failing and resolved else text
-
-
-def _is_changeable(name: str) -> bool:
-    """Return whether a setting can change the result of a check."""
-    return name not in TARGET_CHECKS or TARGET_CHECKS[name].is_simulated
 
 
 def _seconds(name: str) -> float:

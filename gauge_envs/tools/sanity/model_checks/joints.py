@@ -141,6 +141,7 @@ def _modes(robot: Robot, driven: list[Drive]) -> Iterator[Case]:
         growth, drive = min(np.abs(ratio), MAX_RATIO) ** GROWTH_STEPS, drive_of(mode)
         text = f"a small motion of {drive.name} grows by {np.abs(ratio) - 1.0:.2g} of itself in a step of "
         text += f"{1e3 * step_s:g} ms: kp {drive.kp:.3g}, kv {drive.kv:.3g} {drive.units[0]}"
+        text += "" if drive.armature else ", no armature"
         yield drive.case(growth / GROWTH, text)
     for ratio, mode in _eigenmodes(robot):
         rate = np.log(complex(ratio) or 1e-300) / step_s
