@@ -90,9 +90,13 @@ class FixSearch:
     def _model_change(self) -> dict[str, Any]:
         """Return a change that resolves checks of the target's own model; drop checks that no setting changes."""
         change: dict[str, Any] = {}
-        for name in [name for name in self._flags if name in TARGET_CHECKS]:
+        # Wrong forces of the solver may explain all other findings.
+        for name in sorted(self._flags, key="model-solver".__ne__):
+            if name not in TARGET_CHECKS:
+                continue
             values = {self._before[name].value}
-            for candidate in candidates_of(self.configuration, name):
+            candidates = candidates_of(self.configuration, name)
+            for candidate in [{}, *candidates] if change else candidates:
                 changes = {**change, **candidate}
                 outcome = self._outcome(changes, name)
                 values.add(outcome.value)
@@ -176,7 +180,8 @@ class FixSearch:
     def _smallest(self, changes: Settings, resolved: Sequence[str]) -> Settings:
         """Return a change without the settings that none of its resolved checks needs."""
         smallest = dict(changes)
-        for name in changes:
+        # A dense Jacobian changes no physics: it goes last.
+        for name in sorted(changes, key="jacobian".__eq__):
             fewer = {key: value for key, value in smallest.items() if key != name}
             if fewer and all(self._resolves(fewer, check) for check in resolved):
                 smallest = fewer

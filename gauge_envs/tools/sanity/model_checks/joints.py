@@ -86,6 +86,9 @@ def _brakes(drive: Drive) -> Iterator[Case]:
 
 # --- servos ----------------------------------------------------------------------------------------------------------
 
+ENDLESS_S = 1000.0
+"""Decay time above which nothing damps a swing [s]."""
+
 RINGING, RINGING_S = 0.05, 1.0
 """Damping ratio and decay time of a servo that rings: at 0.05 a step overshoots by 85 %; makers have 0.089."""
 
@@ -140,7 +143,7 @@ def _modes(robot: Robot, driven: list[Drive]) -> Iterator[Case]:
     for ratio, mode in _eigenmodes(robot, "frictionloss"):
         growth, drive = min(np.abs(ratio), MAX_RATIO) ** GROWTH_STEPS, drive_of(mode)
         text = f"a small motion of {drive.name} grows by {np.abs(ratio) - 1.0:.2g} of itself in a step of "
-        text += f"{1e3 * step_s:g} ms: kp {drive.kp:.3g}, kv {drive.kv:.3g} {drive.units[0]}"
+        text += f"{1e3 * step_s:g} ms: kp {drive.kp:.4g}, kv {drive.kv:.3g}"
         text += "" if drive.armature else ", no armature"
         yield drive.case(growth / GROWTH, text)
     for ratio, mode in _eigenmodes(robot):
@@ -149,7 +152,8 @@ def _modes(robot: Robot, driven: list[Drive]) -> Iterator[Case]:
         if is_swing and np.abs(ratio) ** GROWTH_STEPS < GROWTH:
             drive = drive_of(mode)
             swing_hz, decay_s = rate.imag / (2.0 * np.pi), 1.0 / max(-rate.real, 1e-6)
-            text = f"{drive.name} swings about its command with {swing_hz:.2g} Hz for {decay_s:.2g} s"
+            text = f"{drive.name} swings about its command with {swing_hz:.2g} Hz"
+            text += f" for {decay_s:.2g} s" if decay_s < ENDLESS_S else " without end"
             ringing = RINGING * decay_s * abs(rate)
             yield drive.case(min(ringing, decay_s / RINGING_S), text, True)
 
