@@ -19,6 +19,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from gauge_envs.errors import TargetError
+from gauge_envs.tools.sanity.selection import selection
 from gauge_envs.tools.sanity.training import TrainingConfiguration
 from gauge_envs.tools.sanity.verdict import SanityResult
 
@@ -37,6 +38,7 @@ def accept(
 
     Raises:
         TargetError: An entry has no reason, or the file cannot be read.
+        UnknownNameError: An entry names no check.
     """
     reasons = dict(_reasons(configuration))
     empty = next((name for name, reason in reasons.items() if not reason), None)
@@ -44,6 +46,7 @@ def accept(
         raise TargetError(
             f"{empty} is accepted without a reason: state why it is right"
         )
+    selection([name.partition(":")[0] for name in reasons])
     return [replace(result, accepted=_reason(result, reasons)) for result in results]
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -149,7 +149,8 @@ def sanity(
         document = replace(document, parts=[*of_pair, *document.parts])
     elif not only:
         document = replace(document, parts=[*document.parts, *touching_table(checked)])
-    _print(report, document, form, files)
+    _print(document, form, files)
+    _annotate(report)
     if fix is not None:
         message(write_fix(report, fix), "fix")
     if report.errors or (is_strict and report.warnings):
@@ -157,17 +158,20 @@ def sanity(
     return EXIT_INCOMPLETE if report.unmeasured else 0
 
 
-def _print(
-    report: Report, document: Document, form: Format, files: dict[str, Path]
-) -> None:
-    """Print a report, write it to files, and annotate the lines of a model in a workflow of GitHub."""
+def _print(document: Document, form: Format, files: dict[str, Path]) -> None:
+    """Print a document, and write it to files."""
     from gauge_envs.pages.document import as_rows, save_file
-    from gauge_envs.tools.sanity.report import workflow_commands
 
     if json_file := files.pop(".json", None):
         text = json.dumps(json_ready(as_rows(document)), allow_nan=False, indent=1)
         message(save_file(json_file, text))
     print_document(document, form, files=files)
+
+
+def _annotate(report: Report) -> None:
+    """Annotate the lines of a model in a workflow of GitHub."""
+    from gauge_envs.tools.sanity.report import workflow_commands
+
     if os.environ.get("GITHUB_ACTIONS") == "true":
         for command in workflow_commands(report):
             typer.echo(command, err=True)
@@ -178,7 +182,7 @@ def _compare(
     second: str,
     options: dict[str, Any],
     is_strict: bool,
-    files: Mapping[str, Path],
+    files: dict[str, Path],
     form: Format,
 ) -> int:
     """Print the checks of two targets side by side, and return the exit code."""
@@ -187,7 +191,7 @@ def _compare(
 
     reports = [check(target, explain=False, **options) for target in (first, second)]
     compared = difference(*reports)
-    print_document(difference_document(compared), form, files=files)
+    _print(difference_document(compared), form, files)
     changed = [check for check in compared.checks if check.is_changed]
     if is_strict and changed:
         return EXIT_FAILED

@@ -6,12 +6,13 @@ import copy
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from operator import mul
 
 import mujoco
 import numpy as np
 
 from gauge_envs.backends.mujoco.contact_table import COLUMNS, can_move, contact_pairs
-from gauge_envs.backends.mujoco.options import overrides_contacts, set_option
+from gauge_envs.backends.mujoco.options import overrides_contacts
 from gauge_envs.errors import UnknownNameError
 from gauge_envs.pages.document import Paragraph, Part, Tone
 from gauge_envs.pages.table import Table, grid
@@ -24,6 +25,7 @@ from gauge_envs.tools.sanity.pair_bench import (
     Bench,
     Value,
     bench,
+    set_pair,
     touch_of,
     touching,
 )
@@ -36,18 +38,6 @@ Rule = Callable[[float, float], float]
 
 def _mean(first: float, second: float) -> float:
     return 0.5 * (first + second)
-
-
-def _product(first: float, second: float) -> float:
-    return first * second
-
-
-def _geometric_mean(first: float, second: float) -> float:
-    return math.sqrt(first * second)
-
-
-def _harmonic_mean(first: float, second: float) -> float:
-    return 2.0 * first * second / max(first + second, np.finfo(float).tiny)
 
 
 STACKS: tuple[tuple[str, str, str, Rule, Rule | None, str], ...] = (
@@ -79,7 +69,7 @@ STACKS: tuple[tuple[str, str, str, Rule, Rule | None, str], ...] = (
         "newton",
         "Newton SolverVBD",
         "sqrt(a b)",
-        _geometric_mean,
+        lambda a, b: math.sqrt(a * b),
         None,
         "Newton 1.8.0, solvers/vbd/rigid_vbd_kernels.py",
     ),
@@ -95,8 +85,8 @@ STACKS: tuple[tuple[str, str, str, Rule, Rule | None, str], ...] = (
         "isaac",
         "Isaac Lab, on its terrain for locomotion",
         "product: combine mode multiply",
-        _product,
-        _product,
+        mul,
+        mul,
         "Isaac Lab 032e26b7, velocity_env_cfg.py",
     ),
     (
@@ -120,7 +110,7 @@ STACKS: tuple[tuple[str, str, str, Rule, Rule | None, str], ...] = (
         "PyBullet",
         "product, at most 10",
         lambda a, b: min(a * b, 10.0),
-        _product,
+        mul,
         "Bullet, btManifoldResult.cpp",
     ),
     (
@@ -135,7 +125,7 @@ STACKS: tuple[tuple[str, str, str, Rule, Rule | None, str], ...] = (
         "drake",
         "Drake",
         "2 a b / (a + b)",
-        _harmonic_mean,
+        lambda a, b: 2.0 * a * b / max(a + b, 1e-300),
         None,
         "Drake 0ffdade9, coulomb_friction.h",
     ),
@@ -320,13 +310,9 @@ def _stack_table(
     rows = []
     for name, title, words, rule, restitution, source in STACKS:
         if stack in ("", name):
-            both = "contact constants"
+            both, share = "contact constants", max(rebound, 0.0)
             if restitution is not None:
-                both = digits_text(
-                    math.sqrt(max(rebound, 0.0))
-                    if restitution is _product
-                    else max(rebound, 0.0)
-                )
+                both = digits_text(math.sqrt(share) if restitution is mul else share)
             row = [title, digits_text(rule(*stated)), words, both]
             rows.append([*row, source] if stack else row)
     materials = " and ".join(map(digits_text, stated))
@@ -445,10 +431,5 @@ def _with_line(robot: Robot, measured: Bench, changes: Settings) -> Robot | None
         added.solref, added.solimp = small.pair_solref[0], small.pair_solimp[0]
         added.margin, added.gap = small.pair_margin[0], small.pair_gap[0]
         model = spec.compile()
-    row = _explicit(model, *pair)
-    for name, value in changes.items():
-        if name in PAIR_FIELDS:
-            getattr(model, f"pair_{PAIR_FIELDS[name]}")[row] = value
-        else:
-            set_option(model.opt, name, value)
+    set_pair(model, changes, _explicit(model, *pair))
     return replace(robot, model=model, pairs=contact_pairs(model))

@@ -22,6 +22,7 @@ from gauge_envs.backends.mujoco.options import option_settings, set_option
 from gauge_envs.errors import TargetError
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G
 from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.tools.sanity.model_checks.runs import has_diverged
 from gauge_envs.tools.sanity.robot.robot import Robot
 from gauge_envs.tools.sanity.robot.standing import mesh_vertices_m
 from gauge_envs.tools.sanity.training import Settings
@@ -34,6 +35,9 @@ FAST_M_PER_S, IMPACT_M_PER_S, PHASES = 4.0, 1.0, 4
 
 SHARES, STEEP, HALF = (0.5, 0.9, 0.99), 1.5, 0.5
 """Loads of creep, and of a slide, over the limit of friction; share of the load that a slide must keep."""
+
+DIVERGED = 1e9
+"""Height [m] and velocity [m/s] of a state that diverges: no law allows them."""
 
 PAIR_FIELDS = {
     "contact_solref": "solref",
@@ -201,46 +205,34 @@ class Bench:
     def changed(self, changes: Settings) -> Bench:
         """Return the bench with other settings."""
         model = copy.copy(self.model)
-        for name, value in changes.items():
-            if name in PAIR_FIELDS:
-                getattr(model, f"pair_{PAIR_FIELDS[name]}")[:] = value
-            else:
-                set_option(model.opt, name, value)
+        set_pair(model, changes)
         return replace(self, model=model)
 
     def values(self) -> list[Value]:
         """Return what follows from the contact, each with its law; friction is left out for a contact without."""
         values = list[Value]()
-        rebound, ratios = self._impacts()
+
+        def add(
+            name: str, value: float, unit: str, law: float | None, width: float
+        ) -> None:
+            values.append(Value(name, value, unit, law, width))
+
+        rebound, ratios = self.impacts()
         if self.friction:
             own = self.touch.pull_n / (self.friction * self.touch.load_n)
-            creep = self._creep_um_per_s(min(own, SHARES[0]))
-            values.append(Value("creep in the run", creep, "um/s", 0.0, 100.0))
-            for share in SHARES:
-                name, creep = (
-                    f"creep at {share:g} of the limit",
-                    self._creep_um_per_s(share),
-                )
-                values.append(Value(name, creep, "um/s", 0.0, 100.0))
+            shares = {f"at {share:g} of the limit": share for share in SHARES}
+            for name, share in {"in the run": min(own, SHARES[0]), **shares}.items():
+                speed = self._creep_um_per_s(share)
+                add(f"creep {name}", speed, "um/s", 0.0, 100.0)
             for angle_deg in (0.0, 45.0):
-                ratio = self._slide(math.radians(angle_deg))
-                values.append(
-                    Value(
-                        f"slide at {angle_deg:g} degrees over Coulomb",
-                        ratio,
-                        "",
-                        1.0,
-                        0.03,
-                    )
-                )
+                name = f"slide at {angle_deg:g} degrees over Coulomb"
+                add(name, self._slide(math.radians(angle_deg)), "", 1.0, 0.03)
             for speed in (1.0, FAST_M_PER_S):
-                rise_mm = self._hop_mm(speed)
-                values.append(Value(f"hop at {speed:g} m/s", rise_mm, "mm", 0.0, 5.0))
-        values.append(Value("depth under load", 1e6 * self._rest[0], "um", 0.0, 500.0))
-        values.append(Value("rebound", rebound, "", None, 0.05))
-        if self.friction:
-            for name, ratio in ratios.items():
-                values.append(Value(f"{name} impact over Coulomb", ratio, "", 1.0, 0.1))
+                add(f"hop at {speed:g} m/s", self.hop_mm(speed), "mm", 0.0, 5.0)
+        add("depth under load", 1e6 * self._rest[0], "um", 0.0, 500.0)
+        add("rebound", rebound, "", None, 0.05)
+        for name, ratio in ratios.items() if self.friction else ():
+            add(f"{name} impact over Coulomb", ratio, "", 1.0, 0.1)
         return values
 
     # --- measurements ------------------------------------------------------------------------------------------------
@@ -277,6 +269,9 @@ class Bench:
         rows = [[data.qpos[2], *data.qvel]]
         for _ in range(max(round(seconds / model.opt.timestep), 8)):
             mujoco.mj_step(model, data)
+            if has_diverged(data):
+                rows.append([DIVERGED] * 4)
+                break
             data.qpos[:2] = 0.0
             rows.append([data.qpos[2], *data.qvel])
         table = np.array(rows)
@@ -317,14 +312,14 @@ class Bench:
             return math.nan
         return float((pull - gained) / (self.friction * (pressed + lifted)))
 
-    def _hop_mm(self, speed_m_per_s: float) -> float:
-        """Return how high a slide at a speed rises [mm]."""
-        heights = self._run(
-            SETTLE_S, (0.0, 0.0, -G), -self._rest[1], (speed_m_per_s, 0.0, 0.0)
-        )[:, 0]
-        return 1e3 * float(heights.max() - heights[0])
+    def hop_mm(self, speed_m_per_s: float) -> float:
+        """Return how high a slide at a speed rises [mm], also one that does not come to rest before."""
+        velocity = speed_m_per_s, 0.0, 0.0
+        heights_m = self._run(SETTLE_S, (0.0, 0.0, -G), -self._rest[1], velocity)[:, 0]
+        margin_m = float(self.model.pair_margin[0])
+        return 1e3 * float(heights_m.max() - min(heights_m[0], margin_m))
 
-    def _impacts(self) -> tuple[float, dict[str, float]]:
+    def impacts(self) -> tuple[float, dict[str, float]]:
         """Return the rebound, and friction over Coulomb's law in impacts at three angles from the normal.
 
         A body that does not turn loses the tangential impulse min(mu N, m v). It meets the other one without gravity.
@@ -350,6 +345,15 @@ class Bench:
             allowed = min(self.friction * pressed, velocity[0])
             ratios.append(taken / allowed if allowed else 1.0)
         return float(np.mean(rebounds)), float(np.mean(ratios))
+
+
+def set_pair(model: mujoco.MjModel, changes: Settings, pair: int | None = 0) -> None:
+    """Set options of a model, and the constants of an explicit pair."""
+    for name, value in changes.items():
+        if name not in PAIR_FIELDS:
+            set_option(model.opt, name, value)
+        elif value is not None:
+            getattr(model, f"pair_{PAIR_FIELDS[name]}")[pair] = value
 
 
 def bench(robot: Robot, touch: Touch, constants: FloatArray) -> Bench:

@@ -80,7 +80,13 @@ def sanity_document(report: Report, *, is_all: bool = False) -> Document:
     ]
     table = _all_rows(report)
     if is_all:
-        parts += [table, *_details(report)]
+        parts.append(table)
+        parts += [
+            Paragraph(
+                f"{result.id}: {result.title}; {result.reality.source}", Tone.NOTE
+            )
+            for result in report.flags.values()
+        ]
     markdown = (Paragraph(answer_text(report), Tone.ANSWER), table)
     return Document(parts=parts, rows=[whole, *results], markdown=markdown)
 
@@ -103,25 +109,27 @@ def answer_text(report: Report) -> str:
         return f"{name}: nothing was measured: {'; '.join([*reasons][:MAX_NAMES])}"
     counts = Counter(result.severity for result in report.flags.values())
     passed = [check.verdict for check in report.checks].count(SanityVerdict.PASSED)
-    words = {
+    accepted = sum(bool(check.accepted) for check in report.checks)
+    missing = len(report.unmeasured)
+    texts = {
         counted(counts[Severity.ERROR], "error"): counts[Severity.ERROR],
         counted(counts[Severity.WARNING], "warning"): counts[Severity.WARNING],
         f"{counts[Severity.ADVICE]} advice": counts[Severity.ADVICE],
+        f"{accepted} accepted": accepted,
         f"{counted(passed, 'check')} passed": True,
+        f"{missing} not measured": missing,
     }
-    texts = [word for word, count in words.items() if count]
-    if report.unmeasured:
-        texts.append(f"{len(report.unmeasured)} not measured")
-    return f"{name}: {', '.join(texts)}"
+    return f"{name}: {', '.join(text for text, count in texts.items() if count)}"
 
 
 def workflow_commands(report: Report) -> list[str]:
     """Return a workflow command of GitHub for each error and warning, with its file and line."""
-    commands = {Severity.ERROR: "error", Severity.WARNING: "warning"}
+    # The command begins an escape with a per cent sign.
     return [
-        f"::{commands[result.severity]} file={result.file},line={result.line},title={result.id}::{finding_text(result)}"
+        f"::{result.severity} file={result.file},line={result.line},title={result.id}::"
+        + finding_text(result).replace("%", "%25")
         for result in report.checks
-        if result.severity in commands
+        if result.severity in TONES
     ]
 
 
@@ -259,17 +267,17 @@ def _notes(report: Report, *, is_all: bool) -> list[Part]:
     return lines
 
 
-def _details(report: Report) -> list[Part]:
-    """Return the sources of the findings."""
-    return [
-        Paragraph(f"{result.id}: {result.title}; {result.reality.source}", Tone.NOTE)
-        for result in report.flags.values()
-    ]
-
-
 def _all_rows(report: Report) -> Table:
     """Return the table of all checks that apply."""
-    remark = Column("", "remark", _remark_text, place=Place.BELOW, wide_only=True)
+    remark = Column(
+        "",
+        "remark",
+        lambda result: "; ".join(
+            filter(None, (result.geoms or result.place, result.remark))
+        ),
+        place=Place.BELOW,
+        wide_only=True,
+    )
     rows = [result for result in report.checks if result.applies]
     return Table(columns=(*COLUMNS, SEVERITY, remark), rows=rows)
 
@@ -287,11 +295,6 @@ def reality_text(reality: Reality, unit: str) -> str:
 def measured_text(result: SanityResult) -> str:
     """Return the measured value, or a dash."""
     return "-" if result.configured is None else quantity_text(result.configured)
-
-
-def _remark_text(result: SanityResult) -> str:
-    """Return the place and the remark."""
-    return "; ".join(filter(None, (result.geoms or result.place, result.remark)))
 
 
 SEVERITY = Column(

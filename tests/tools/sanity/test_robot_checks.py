@@ -1,5 +1,7 @@
 """Checks of robots: right robots pass, and each check detects the mistakes that are planted for it."""
 
+import mujoco
+import numpy as np
 import pytest
 from robot_faults import FAULTS, faulty_xml, good_xml
 
@@ -138,3 +140,26 @@ def test_a_wrong_arm_is_named(name, tmp_path):
     xml, (check, words) = WRONG[name]
     flags = flags_of(read(xml, tmp_path))
     assert words in flags.get(check, ""), flags
+
+
+@pytest.mark.parametrize(
+    "seed", [0, 1, *(pytest.param(n, marks=pytest.mark.slow) for n in range(2, 40))]
+)
+def test_dry_friction_hides_no_servo_that_grows(seed, tmp_path):
+    """A step of Euler maps position and speed of a hinge by a matrix; a servo grows where an eigenvalue exceeds 1."""
+    random = np.random.default_rng(seed)
+    kp, kv = 10 ** random.uniform(1.5, 6.0), 10 ** random.uniform(-0.5, 4.0)
+    step_s, damping = random.choice([0.002, 0.005]), 0.5
+    text = arm(
+        step=step_s,
+        joint=f'damping="{damping}" armature=".01" frictionloss="{random.choice([0, 0.2])}"',
+        end=MOTOR.format(f'kp="{kp}" kv="{kv}" forcerange="-90 90"'),
+    )
+    model = mujoco.MjModel.from_xml_string(text)
+    inertia = float(model.dof_M0[0]) + step_s * damping
+    speed = np.array([-kp, inertia - step_s * damping - step_s * kv]) / inertia
+    speed[0] *= step_s
+    matrix = [speed[[1, 0]], [step_s * speed[1], 1.0 + step_s * speed[0]]]
+    growth = np.abs(np.linalg.eigvals(matrix)).max()
+    flag = flags_of(read(text, tmp_path)).get("robot-drive", "")
+    assert ("grows" in flag) == (growth > 1.0) or abs(growth - 1.0) < 0.01, growth

@@ -215,6 +215,24 @@ def test_a_check_that_no_setting_changes_does_not_hide_the_fix():
     assert report.fix.flag_count == len(report.fix.fixed) == 1
 
 
+@pytest.mark.slow
+def test_a_wrong_sparse_solver_is_replaced_by_the_dense_one():
+    """Eight chains of five links in a pile, which MuJoCo 4.0.0 solves wrongly with a sparse Jacobian."""
+    link = '<geom type="capsule" fromto="0 0 0 .1 0 0" size=".03"/>'
+    joint = '<body pos=".1 0 0"><joint axis="0 {} {}" range="-90 90"/>'
+    chain = link + "".join(joint.format(n % 2, 1 - n % 2) + link for n in range(4))
+    bodies = "".join(
+        f'<body name="c{k}" pos="{0.03 * (k * 5 % 7) - 0.1} {0.03 * (k * 3 % 7) - 0.1} {0.1 + 0.09 * k}"><freejoint/>'
+        f"{chain}{4 * '</body>'}</body>"
+        for k in range(8)
+    )
+    model = mujoco.MjModel.from_xml_string(
+        f'<mujoco><option timestep="0.004"/><worldbody><geom type="plane" size="2 2 1"/>{bodies}</worldbody></mujoco>'
+    )
+    report = check(model, only=["model-solver"])
+    assert not report.flags or report.fix.changes == {"jacobian": "dense"}
+
+
 # --- two targets -----------------------------------------------------------------------------------------------------
 
 
@@ -224,7 +242,8 @@ def test_two_targets_are_shown_side_by_side(gauge, tmp_path):
     (tmp_path / "soft.xml").write_text(soft)
     words = ["sanity", "good.xml", "--only", "gravity,rest-height", "--against"]
     assert gauge(*words, "good.xml").exit_code == 0
-    outcome = gauge(*words, "soft.xml", "--json")
+    outcome = gauge(*words, "soft.xml", "--json", "--out", "both.json")
+    assert json.loads((tmp_path / "both.json").read_text())[2]["is_changed"]
     assert outcome.exit_code == 0
     assert gauge(*words, "soft.xml", "--strict").exit_code == 1
     names, gravity, rest = map(json.loads, outcome.stdout.splitlines())

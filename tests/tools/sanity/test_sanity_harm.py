@@ -1,66 +1,48 @@
-"""The guard against hops: closed forms, and MuJoCo's stiff and soft contacts."""
-
-import math
+"""The guard against hops and lost impacts: closed forms, and MuJoCo's stiff and soft contacts."""
 
 import mujoco
 import numpy as np
 import pytest
 
-from gauge_envs.backends import backend
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G
 from gauge_envs.tools.recipes import Aim, engine_settings, find_recipe
 from gauge_envs.tools.sanity import check
 from gauge_envs.tools.sanity.fixes.harm import (
     FAST_M_PER_S,
     FRICTION,
+    block,
     changes_rebound,
-    hop_mm,
     hops_more,
-    impacts,
 )
-from gauge_envs.tools.sanity.object_checks.measure import Measurements
-
-MUJOCO = Measurements(backend("mujoco"))
-DEFAULT = {"preset": "out_of_box"}
 
 
 @pytest.mark.parametrize(
     ("cone", "impratio"), [("pyramidal", 1.0), ("elliptic", 100.0)]
 )
 def test_time_constants_of_two_steps_lift_what_slides(cone, impratio):
-    settings = DEFAULT | {"cone": cone, "impratio": impratio}
     soft, stiff, short = (
-        hop_mm(MUJOCO, settings | {"contact_solref": (time_s, 1.0)})
+        block(
+            {"cone": cone, "impratio": impratio, "contact_solref": (time_s, 1.0)}
+        ).hop_mm(FAST_M_PER_S)
         for time_s in (0.02, 0.004, 0.002)
     )
     lifted = 1e3 * (FRICTION * FAST_M_PER_S) ** 2 / (2.0 * G)
-    assert stiff == pytest.approx(lifted, rel=0.15)
+    assert stiff == pytest.approx(lifted, rel=0.15 if cone == "elliptic" else 0.35)
     # MuJoCo raises shorter time constants to two steps.
     assert short == stiff
     assert 1.0 < soft < 0.2 * lifted
     assert hops_more(soft, stiff) and not hops_more(stiff, soft)
 
 
-def test_the_preset_stays_on_the_ground_and_stops_by_coulombs_law():
-    assert 0.0 <= hop_mm(MUJOCO, {}) < 1.0
-    assert hop_mm(MUJOCO, {"friction_scale": 0.8}) == math.inf
-
-
-def test_a_hop_that_is_not_measured_rejects_no_change():
-    unmeasured = hop_mm(MUJOCO, {"colour": "red"})
-    assert math.isnan(unmeasured) and not hops_more(1.0, unmeasured)
-    assert not hops_more(unmeasured, 0.5)
-    diverging = {
-        "timestep_s": 0.01,
-        "refsafe": False,
-        "contact_solref": (0.002, 1.0),
-    }
-    assert hops_more(5.0, hop_mm(MUJOCO, diverging))
+@pytest.mark.parametrize("solref", [(0.002, 1.0), (-1e5, -100.0), (-1e6, -1.0)])
+def test_a_block_that_does_not_stay_on_the_ground_is_harm(solref):
+    diverging = block({"timestep_s": 0.01, "refsafe": False, "contact_solref": solref})
+    assert hops_more(5.0, diverging.hop_mm(FAST_M_PER_S))
 
 
 # --- impacts and recipes ---------------------------------------------------------------------------------------------
 
-BOUNCY = DEFAULT | {
+BOUNCY = {
     "cone": "elliptic",
     "impratio": 10.0,
     "contact_solref": (-4000.0, -800.0),
@@ -71,8 +53,8 @@ BOUNCY = DEFAULT | {
 
 def test_a_soft_contact_in_place_of_a_rebound_is_harm():
     """One step reverses u to (1 - 800 * 0.002) u; MuJoCo's default contact takes nearly all of it."""
-    rebound, _ = impacts(MUJOCO, BOUNCY)
-    soft, _ = impacts(MUJOCO, DEFAULT)
+    rebound, _ = block(BOUNCY).impacts()
+    soft, _ = block({}).impacts()
     assert rebound == pytest.approx(0.6, abs=0.03) and soft < 0.15
     assert changes_rebound(rebound, soft, BOUNCY["contact_solref"])
     assert changes_rebound(soft, rebound) and not changes_rebound(0.42, 0.13)
@@ -80,10 +62,11 @@ def test_a_soft_contact_in_place_of_a_rebound_is_harm():
 
 def test_friction_in_impacts_that_leaves_coulombs_law_is_harm():
     """Tangential damping over five steps takes a fifth of the slip in an impact of one step."""
-    _, usual = impacts(MUJOCO, BOUNCY | {"contact_solreffriction": (0.0, -475.0)})
+    _, usual = block(BOUNCY | {"contact_solreffriction": (0.0, -475.0)}).impacts()
     damped = BOUNCY | {"contact_solreffriction": (0.0, -100.0)}
-    _, error = impacts(MUJOCO, damped)
-    assert usual < 0.1 and error == pytest.approx(0.8, abs=0.05)
+    _, ratios = block(damped).impacts()
+    assert [*usual.values()] == pytest.approx([1.0] * 3, abs=0.1)
+    assert ratios["steep"] == pytest.approx(0.2, abs=0.05)
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,7 @@
 import pytest
 from robot_faults import good_xml
 
-from gauge_envs.errors import TargetError
+from gauge_envs.errors import TargetError, UnknownNameError
 from gauge_envs.tools.sanity import check, configuration
 from gauge_envs.tools.sanity.static_rules import STATIC_RULES
 from gauge_envs.tools.sanity.static_rules.sides import side_of
@@ -73,7 +73,7 @@ MISTAKES = [
     ),
     ("start-command", "commands elbow to 2", {"command": "2"}, {"command": "1.5"}),
     ("start-overlap", "20 mm", {"height": ".03"}, {"height": ".048"}),
-    ("start-tendon", "of its joints", {"cord": ".4 .6"}, {"cord": "-.1 .1"}),
+    ("start-tendon", "0 rad, outside", {"cord": ".4 .6"}, {"cord": "-.1 .1"}),
     (
         "names",
         "left_tip, on the other side",
@@ -103,7 +103,7 @@ MISTAKES = [
         "stated-margin",
         "10 mm above",
         {"box": 'margin=".01"'},
-        {"box": 'margin=".01" gap=".01"'},
+        {"box": 'gap=".01"'},
     ),
     (
         "stated-friction",
@@ -226,6 +226,9 @@ def test_a_finding_is_accepted_with_a_reason(tmp_path, monkeypatch):
     (tmp_path / "gauge.toml").write_text('[sanity.accept]\ndensity = ""')
     with pytest.raises(TargetError, match="density is accepted without a reason"):
         density_of(tmp_path, HEAVY)
+    (tmp_path / "gauge.toml").write_text('[sanity.accept]\ndensty = "a weight"')
+    with pytest.raises(UnknownNameError, match="densty"):
+        density_of(tmp_path, HEAVY)
 
 
 def test_a_cause_has_its_effects_and_a_failed_assertion_shows_the_screen(tmp_path):
@@ -247,7 +250,7 @@ FIXES = {
         {"box": 'solimp=".9 .1 .001"'},
         'geom "box": solimp="0.1 0.9 0.001 0.5 2"',
     ),
-    "stated-margin": ({"box": 'margin=".01"'}, 'geom "box": gap="0.01"'),
+    "stated-margin": ({"box": 'margin=".01" gap=".01"'}, 'geom "box": margin="0"'),
     "stated-friction": ({"box": 'friction=".3"'}, 'geom "box": priority="1"'),
     "density": ({"mass": "50", "inertia": ".05 .45 .45"}, ""),
 }

@@ -50,7 +50,11 @@ class FixSearch:
         self.report, self.measurements = report, measurements
         self.configuration = configuration = report.configuration
         self.dialect = dialect(configuration.language)
-        changeable = [result for result in report.checks if _is_changeable(result.id)]
+        changeable = [
+            result
+            for result in report.checks
+            if result.id not in TARGET_CHECKS or TARGET_CHECKS[result.id].is_simulated
+        ]
         # Short scenes come first, the target's own model last.
         self._before = {
             result.id: _outcome_of(result)
@@ -86,9 +90,13 @@ class FixSearch:
     def _model_change(self) -> dict[str, Any]:
         """Return a change that resolves checks of the target's own model; drop checks that no setting changes."""
         change: dict[str, Any] = {}
-        for name in [name for name in self._flags if name in TARGET_CHECKS]:
+        # Wrong forces of the solver may explain all other findings.
+        for name in sorted(self._flags, key="model-solver".__ne__):
+            if name not in TARGET_CHECKS:
+                continue
             values = {self._before[name].value}
-            for candidate in candidates_of(self.configuration, name):
+            candidates = candidates_of(self.configuration, name)
+            for candidate in [{}, *candidates] if change else candidates:
                 changes = {**change, **candidate}
                 outcome = self._outcome(changes, name)
                 values.add(outcome.value)
@@ -157,9 +165,7 @@ class FixSearch:
         changed = self._changed(changes)
         if changed is None:
             return True
-        if changed.backend == "mujoco" and contact_harm(
-            self.measurements, self.configuration, changed
-        ):
+        if changed.backend == "mujoco" and contact_harm(self.configuration, changed):
             return True
         robot = self.configuration.robot
         if robot and changed.robot and motion_harm(robot, changed.robot):
@@ -174,7 +180,8 @@ class FixSearch:
     def _smallest(self, changes: Settings, resolved: Sequence[str]) -> Settings:
         """Return a change without the settings that none of its resolved checks needs."""
         smallest = dict(changes)
-        for name in changes:
+        # A dense Jacobian changes no physics: it goes last.
+        for name in sorted(changes, key="jacobian".__eq__):
             fewer = {key: value for key, value in smallest.items() if key != name}
             if fewer and all(self._resolves(fewer, check) for check in resolved):
                 smallest = fewer
@@ -213,11 +220,6 @@ class FixSearch:
         text = f"resolves {counted(len(resolved), 'check')}"
         failing = [name for name in self._flags if name not in resolved]
         return f"{text}, not {', '.join(failing)}" if failing and resolved else text
-
-
-def _is_changeable(name: str) -> bool:
-    """Return whether a setting can change the result of a check."""
-    return name not in TARGET_CHECKS or TARGET_CHECKS[name].is_simulated
 
 
 def _seconds(name: str) -> float:

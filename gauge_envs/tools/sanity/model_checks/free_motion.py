@@ -126,10 +126,12 @@ def holds(robot: Robot) -> Finding:
     spans = SINE_SHARE * np.ptp(model.actuator_ctrlrange, axis=1)
     sizes = np.where(model.actuator_ctrllimited, spans, SINE_RAD)
     while np.isinf(diverged_s) and data.time < seconds(model, SINE_S):
+        # A state that diverges is reset, with its time.
+        next_s = float(data.time + model.opt.timestep)
         data.ctrl[:] = begin + sizes * np.sin(2.0 * np.pi * data.time / SINE_S)
         mujoco.mj_step(model, data)
         if has_diverged(data):
-            diverged_s = max(float(data.time), float(model.opt.timestep))
+            diverged_s = next_s
             motion = "on sines of its commands"
     if np.isinf(diverged_s):
         return Finding(value=1.0)

@@ -115,7 +115,7 @@ def feet(robot: Robot) -> Finding:
         return Finding(value=0.0)
     return Finding(
         value=float(len(lame)),
-        remark=f"{', '.join(names[:3])} reach the ground and cannot touch it",
+        remark=f"{', '.join(names[:3])} cannot touch the ground",
         place=("geom", next(iter(lame.values()))),
         parts=dict.fromkeys(names, 1.0),
     )

@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 
 from gauge_envs.scene import GRAVITY_M_PER_S2
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.sanity.model_checks.check import (
     Case,
     Finding,
@@ -85,6 +86,9 @@ def _brakes(drive: Drive) -> Iterator[Case]:
 
 # --- servos ----------------------------------------------------------------------------------------------------------
 
+ENDLESS_S = 1000.0
+"""Decay time above which nothing damps a swing [s]."""
+
 RINGING, RINGING_S = 0.05, 1.0
 """Damping ratio and decay time of a servo that rings: at 0.05 a step overshoots by 85 %; makers have 0.089."""
 
@@ -125,38 +129,56 @@ def servo_response(robot: Robot) -> Finding:
 def _modes(robot: Robot, driven: list[Drive]) -> Iterator[Case]:
     """Yield the small motions of a robot about its commands in the engine that grow or swing.
 
-    They are the modes of the transition matrix of a step where all servos are at rest. A mode belongs to the servo with
-    the largest share of its energy.
+    Dry friction damps a swing, but holds no motion that grows once a command has overcome it: growth is read without. A
+    mode belongs to the servo with the largest share of its energy.
     """
-    model = robot.without("contact", "gravity", "limit", "spring", "equality")
-    is_affine = model.actuator_biastype == mujoco.mjtBias.mjBIAS_AFFINE
     if not driven:
         return
+    step_s = robot.model.opt.timestep
+
+    def drive_of(mode: FloatArray) -> Drive:
+        energies = [drive.kp * abs(mode[drive.dof]) ** 2 for drive in driven]
+        return driven[int(np.argmax(energies))]
+
+    for ratio, mode in _eigenmodes(robot, "frictionloss"):
+        growth, drive = min(np.abs(ratio), MAX_RATIO) ** GROWTH_STEPS, drive_of(mode)
+        text = f"a small motion of {drive.name} grows by {np.abs(ratio) - 1.0:.2g} of itself in a step of "
+        text += f"{1e3 * step_s:g} ms: kp {drive.kp:.4g}, kv {drive.kv:.3g}"
+        text += "" if drive.armature else ", no armature"
+        yield drive.case(growth / GROWTH, text)
+    for ratio, mode in _eigenmodes(robot):
+        rate = np.log(complex(ratio) or 1e-300) / step_s
+        is_swing = rate.imag > max(abs(rate.real), MIN_RATE_PER_S)
+        if is_swing and np.abs(ratio) ** GROWTH_STEPS < GROWTH:
+            drive = drive_of(mode)
+            swing_hz, decay_s = rate.imag / (2.0 * np.pi), 1.0 / max(-rate.real, 1e-6)
+            text = f"{drive.name} swings about its command with {swing_hz:.2g} Hz"
+            text += f" for {decay_s:.2g} s" if decay_s < ENDLESS_S else " without end"
+            ringing = RINGING * decay_s * abs(rate)
+            yield drive.case(min(ringing, decay_s / RINGING_S), text, True)
+
+
+def _eigenmodes(
+    robot: Robot, *features: str
+) -> Iterator[tuple[np.complex128, FloatArray]]:
+    """Yield eigenvalues and modes of a step where all servos are at rest, with some more features switched off."""
+    model = robot.without(
+        "contact", "gravity", "limit", "spring", "equality", *features
+    )
     if model.opt.integrator == int(mujoco.mjtIntegrator.mjINT_RK4):
         # MuJoCo differentiates no steps of RK4, which is as stable as this one.
         model.opt.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-    data, nv = start(robot, model), model.nv
+    data, size = start(robot, model), 2 * model.nv + model.na
     low, high = model.actuator_ctrlrange.T
     data.ctrl[:] = np.clip(0.0, low, high) * (model.actuator_ctrllimited != 0)
     gain, bias = model.actuator_gainprm[:, 0], model.actuator_biasprm
     forces = gain * data.ctrl + bias[:, 1] * data.actuator_length
+    is_affine = model.actuator_biastype == mujoco.mjtBias.mjBIAS_AFFINE
     bias[is_affine, 0] = -forces[is_affine]
-    size = 2 * nv + model.na
     transition = np.zeros((size, size))
     mujoco.mjd_transitionFD(model, data, 1e-6, True, transition, None, None, None)
     ratios, modes = np.linalg.eig(np.nan_to_num(transition))
-    for ratio, mode in zip(ratios, modes.T, strict=True):
-        energies = [drive.kp * abs(mode[drive.dof]) ** 2 for drive in driven]
-        drive = driven[int(np.argmax(energies))]
-        growth = min(np.abs(ratio), MAX_RATIO) ** GROWTH_STEPS
-        text = f"a small motion of {drive.name} grows by {np.abs(ratio) - 1.0:.2g} of itself in a step of "
-        yield drive.case(growth / GROWTH, f"{text}{1e3 * model.opt.timestep:g} ms")
-        rate = np.log(complex(ratio) or 1e-300) / model.opt.timestep
-        if growth < GROWTH and rate.imag > max(abs(rate.real), MIN_RATE_PER_S):
-            swing_hz, decay_s = rate.imag / (2.0 * np.pi), 1.0 / max(-rate.real, 1e-6)
-            text = f"{drive.name} swings about its command with {swing_hz:.2g} Hz for {decay_s:.2g} s"
-            ringing = RINGING * decay_s * abs(rate)
-            yield drive.case(min(ringing, decay_s / RINGING_S), text, True)
+    yield from zip(ratios, modes.T, strict=True)
 
 
 def _response(drive: Drive) -> Iterator[Case]:

@@ -6,8 +6,6 @@ from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 from typing import Any
 
-import numpy as np
-
 from gauge_envs.backends import Backend, Simulation
 from gauge_envs.backends.base import scene_support
 from gauge_envs.backends.settings import with_drive_interval
@@ -190,13 +188,6 @@ class ObjectCheck:
         return (Need.GRAVITY, *contact, *self.needs)
 
 
-RECORDINGS = "scoring/facts/recordings/recordings.toml"
-"""File that `recorded` reads; sources name it."""
-
-PUBLISHED_TRIALS = 20
-"""Real trials of each experiment whose scores are published (paper, section on data)."""
-
-
 @cache
 def facts(name: str) -> dict[str, Any]:
     """Return the table of `scoring/facts/<name>.toml`."""
@@ -204,42 +195,9 @@ def facts(name: str) -> dict[str, Any]:
     return toml_document(file.read_bytes())
 
 
-def recorded(recording: str, fact: str) -> dict[str, Any]:
-    """Return a measurement in a published recording: `value` and `sigma`, or `low` and `high`."""
-    return facts("recordings/recordings")[recording]["facts"][fact]
-
-
-def recorded_reality(
-    recording: str, fact: str, source: str = "one recorded trial"
-) -> Reality:
-    """Return the reality of a measurement in a published recording.
-
-    Args:
-        recording: Name of the recording.
-        fact: Name of the measurement.
-        source: What was recorded.
-    """
-    measured = recorded(recording, fact)
-    value, scatter = measured["value"], measured["sigma"]
-    return Reality.measured(value, scatter, 1, f"{source} ({RECORDINGS})")
-
-
 def acceleration(times_s: FloatArray, displacement_mm: FloatArray) -> float:
     """Return the mean acceleration of a displacement [m/s^2]; both have shape [sample_count]."""
     return 1e-3 * acceleration_m_per_s2(times_s, displacement_mm)
-
-
-def lowest_m(rollout: Recording, body: str, points_m: FloatArray) -> FloatArray:
-    """Return the height of the lowest of a body's points [m], shape [sample_count].
-
-    Args:
-        rollout: The rollout.
-        body: Name of the body.
-        points_m: The points in the body's frame [m], shape [point_count, 3].
-    """
-    rotations = rollout.rotation(body).as_matrix()
-    heights_m = np.einsum("ti,pi->tp", rotations[:, 2], points_m)
-    return np.asarray(heights_m.min(axis=1) + rollout.position(body)[:, 2])
 
 
 def rigid_law(source: str, millimetres: float, of: str) -> Reality:

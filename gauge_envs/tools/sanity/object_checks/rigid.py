@@ -41,20 +41,11 @@ def _resting_m(scene: Scene, ball: RigidBody) -> float:
     return scene.body("ground").pose.position_m[2] + ball.shape.radius_m
 
 
-def _drop(name: str, seconds: float, share: float) -> Scenario:
-    """Return the drop of five balls side by side instead of one, at different heights and without mutual contacts.
-
-    Args:
-        name: Name of the scenario.
-        seconds: Simulated time [s].
-        share: Height of the drops over that of the experiment.
-    """
-    overrides = {"ball.restitution": _real_ratio()}
-    scene = load_experiment(BALL, overrides).scene
+def _drop() -> Scenario:
+    """Return the drop of five balls side by side instead of one, at different heights and without mutual contacts."""
+    scene = load_experiment(BALL, {"ball.restitution": _real_ratio()}).scene
     ball = scene.body("ball")
     x, y, z = ball.pose.position_m
-    resting = _resting_m(scene, ball)
-    z = resting + share * (z - resting) if share < 1.0 else z
     balls = []
     for index, lift in enumerate(LIFTS_M):
         pose = replace(ball.pose, position_m=(x + 0.2 * index, y, z + lift))
@@ -63,7 +54,7 @@ def _drop(name: str, seconds: float, share: float) -> Scenario:
     touches = tuple(replace(contact, first=names) for contact in scene.contacts)
     bodies = (*balls, scene.body("ground"))
     return Scenario(
-        name, BALL, seconds, replace(scene, bodies=bodies, contacts=touches)
+        "drop", BALL, DROP_S, replace(scene, bodies=bodies, contacts=touches)
     )
 
 
@@ -95,7 +86,7 @@ def rebound() -> ObjectCheck:
     trials = facts("bouncing_ball_summary")
     return ObjectCheck(
         "rebound speed of a ball over its impact speed",
-        _drop("drop", DROP_S, 1.0),
+        _drop(),
         "1",
         Reality.measured(
             _real_ratio(),

@@ -314,6 +314,10 @@ def mirror(robot: Robot) -> Iterator[Fault]:
                 + unit_text(ratio)
             )
             odd, change = _like_mirror(robot, trait, values, pair)
+            if trait.key == "contype":
+                lame, other = sorted(pair, key=values.__getitem__)
+                text = f"{name_of(model, 'geom', lame)} can touch nothing; its mirror part "
+                odd, text = lame, f"{text}{name_of(model, 'geom', other)} can"
             place = trait.kind, odd
             yield Fault(place, name_of(model, *place), text, ratio, change=change)
 
@@ -473,8 +477,10 @@ def start_tendon(robot: Robot) -> Iterator[Fault]:
         share, limits = _beyond(length, model.tendon_range[tendon])
         if share:
             name = name_of(model, "tendon", tendon)
-            kind = model.wrap_type[model.tendon_adr[tendon]]
-            unit = "of its joints" if kind == mujoco.mjtWrap.mjWRAP_JOINT else "m"
+            first, unit = model.tendon_adr[tendon], "m"
+            if model.wrap_type[first] == mujoco.mjtWrap.mjWRAP_JOINT:
+                is_hinge = joints_of(model, "HINGE")[model.wrap_objid[first]]
+                unit = "rad" if is_hinge else "m"
             text = f"tendon {name} starts at {length:.4g} {unit}, outside of its range {limits}"
             yield Fault(("tendon", tendon), name, text, share)
 

@@ -119,26 +119,25 @@ MAX_MARGIN_M = 0.002
 @rule(
     "stated-margin",
     title="contacts that act at a distance",
-    source="MuJoCo: a contact acts from margin - gap on, where margins and gaps of two geoms add up",
+    source="MuJoCo: a contact acts from its margin on, the sum of those of two geoms; a gap only detects it earlier",
     consequence="Bodies float above what they rest on.",
 )
 def margin(robot: Robot) -> Iterator[Fault]:
     """Yield moving geoms that touch what is fixed before they meet it."""
     model, pairs = robot.model, robot.pairs
-    ahead_m = (
-        pairs.constants[:, COLUMNS["margin"]] - pairs.constants[:, COLUMNS["gap"]]
-    )[:, 0]
-    for row in np.flatnonzero(
-        (ahead_m > MAX_MARGIN_M) & (pairs.kinds < PairKind.MOVING)
-    ):
+    ahead_m = pairs.constants[:, COLUMNS["margin"]][:, 0]
+    is_ahead = (ahead_m > MAX_MARGIN_M) & (pairs.kinds < PairKind.MOVING)
+    for row in np.flatnonzero(is_ahead):
         geom = int(pairs.geoms[row].max())
-        name = geom_name(model, geom)
-        text = f"{name} rests {1e3 * ahead_m[row]:.3g} mm above the ground: its margin has no gap"
-        wide = model.geom_margin > model.geom_gap
-        for wider in filter(wide.__getitem__, pairs.geoms[row].tolist()):
-            right, place = ("gap", model.geom_margin[wider]), ("geom", wider)
-            ratio = ahead_m[row] / MAX_MARGIN_M
-            yield Fault(("geom", geom), name, text, ratio, False, right, place)
+        name, ratio = geom_name(model, geom), ahead_m[row] / MAX_MARGIN_M
+        text = (
+            f"{name} rests {1e3 * ahead_m[row]:.3g} mm above the ground, by its margin"
+        )
+        wide = filter(model.geom_margin.__getitem__, pairs.geoms[row].tolist())
+        for place in [("geom", wider) for wider in wide]:
+            yield Fault(
+                ("geom", geom), name, text, ratio, False, ("margin", 0.0), place
+            )
 
 
 TORSION, ROLLING = 0.005, 0.0001
