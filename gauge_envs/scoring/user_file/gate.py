@@ -76,7 +76,7 @@ UNEXPLAINED = "is it of this material and task?"
 """Remedy of a motion that no correction explains."""
 
 SAME_MM = 1e-3
-"""Largest distance of a copy [mm], the digits of files; noise of motion capture alone is larger."""
+"""Largest distance of a copied trial or marker [mm], the digits of files; noise of motion capture is larger."""
 
 SHIFT_STEP_S = 1.0 / 120.0
 """Step of the grid of time shifts [s]."""
