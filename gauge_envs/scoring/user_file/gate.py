@@ -388,14 +388,14 @@ def _without_offset(deviations: FloatArray) -> FloatArray:
 
 
 def _without_wide_offsets(motions: FloatArray) -> FloatArray:
-    """Return trials without the offsets of coordinates in which most of the trials are far apart.
+    """Return trials without offsets if most of the trials are far apart in a coordinate.
 
-    There, lost frames would move the median, and time shifts would reduce offsets.
+    Otherwise, lost frames would move the median, and time shifts would reduce offsets.
     """
     deviations = motions - median_motion(motions)
     offsets = deviations - _without_offset(deviations)
-    sizes = np.nan_to_num(median_motion(np.abs(offsets)))
-    return motions - offsets * (np.median(sizes, axis=0) > START_TOLERANCE_MM)
+    sizes = np.median(np.nan_to_num(median_motion(np.abs(offsets))), axis=0)
+    return motions - offsets if sizes.max() > START_TOLERANCE_MM else motions
 
 
 def median_motion(motions: FloatArray) -> FloatArray:
