@@ -15,7 +15,7 @@ from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.scoring.interval import student_limit
 from gauge_envs.scoring.metrics import MAX_TIME_OFFSET_S, MIN_OVERLAP
-from gauge_envs.scoring.user_file.likely_mistakes import corrections
+from gauge_envs.scoring.user_file.likely_mistakes import START_TOLERANCE_MM, corrections
 from gauge_envs.scoring.user_file.motion_checks import (
     MIN_HELD_FRAMES,
     RATES_HZ,
@@ -76,7 +76,7 @@ UNEXPLAINED = "is it of this material and task?"
 """Remedy of a motion that no correction explains."""
 
 SAME_MM = 1e-3
-"""Largest distance of a copy [mm], the digits of files; noise of motion capture alone is larger."""
+"""Largest distance of a copied trial or marker [mm], the digits of files; noise of motion capture is larger."""
 
 SHIFT_STEP_S = 1.0 / 120.0
 """Step of the grid of time shifts [s]."""
@@ -175,7 +175,7 @@ def _far(
     A deviation is that of the trial as recorded and after the best time shift, each also without a constant offset.
     """
     owners, is_of = owners_of(names)
-    motions = np.stack([*trials.values()])
+    motions = _without_wide_offsets(np.stack([*trials.values()]))
     centre = median_motion(_aligned(motions, median_motion(motions)))
     deviations = [motions - median_motion(motions), _aligned(motions, centre) - centre]
     moved = [*map(_without_offset, deviations)]
@@ -385,6 +385,17 @@ def _without_offset(deviations: FloatArray) -> FloatArray:
     """Return deviations, shape [N, T, C], without the mean over the frames."""
     with warnings.catch_warnings(action="ignore", category=RuntimeWarning):
         return np.asarray(deviations - np.nanmean(deviations, axis=1, keepdims=True))
+
+
+def _without_wide_offsets(motions: FloatArray) -> FloatArray:
+    """Return trials without offsets if most of the trials are far apart in a coordinate.
+
+    Otherwise, lost frames would move the median, and time shifts would reduce offsets.
+    """
+    deviations = motions - median_motion(motions)
+    offsets = deviations - _without_offset(deviations)
+    sizes = np.median(np.nan_to_num(median_motion(np.abs(offsets))), axis=0)
+    return motions - offsets if sizes.max() > START_TOLERANCE_MM else motions
 
 
 def median_motion(motions: FloatArray) -> FloatArray:

@@ -14,7 +14,7 @@ class ImportFinding:
         key: Place in the file, for example `foam.17.x`; `(file)` for a whole file, `(folder)` for a folder.
         problem: Description of the problem.
         expected: Expected content.
-        left_out: Whether the trial, or its prescribed motion, is left out of the statistics.
+        left_out: Whether the trial, its prescribed motion or its orientation is left out of the statistics.
     """
 
     file: str

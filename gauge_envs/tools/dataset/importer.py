@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.resolve import load_experiment
@@ -35,6 +36,8 @@ from gauge_envs.scoring.events import PUBLISHED_TRIALS, event_values
 from gauge_envs.scoring.interval import COVERAGE_FACTOR
 from gauge_envs.scoring.reference import reference_band
 from gauge_envs.scoring.user_file.gate import (
+    MIN_RATIO,
+    MIN_RATIO_OF_FEW,
     MIN_TRIALS,
     median_motion,
     rms_over_frames,
@@ -67,6 +70,9 @@ FLAGGED_DIFFERENCE = 0.1
 
 DTW of the published trials differs by 6 % if their first frames are extrapolated, and by up to 10 % with 1 mm of noise.
 """
+
+MIN_TURN_RAD = math.radians(20.0)
+"""Smallest rotation of a start from the other trials that is a fault; exchanged axes turn by more."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -334,6 +340,7 @@ def _without_faults(
         if not is_kept:
             del trials[file]
         yield TrialError(*fault[:3]).finding(file, left_out=not is_kept)
+    yield from _without_turned(experiment, trials, keep=keep)
     for index, driver in enumerate(experiment.scene.drivers):
         points = {
             file: sample.tracks[index].points_mm
@@ -347,6 +354,45 @@ def _without_faults(
             if not is_kept:
                 trials[file] = replace(trials[file], tracks=())
             yield TrialError(*fault[:3]).finding(file, left_out=not is_kept)
+
+
+def _without_turned(
+    experiment: Experiment, trials: dict[str, _TrialData], *, keep: bool
+) -> Iterator[ImportFinding]:
+    """Remove orientations at the start that are too far from those of the other trials, and yield why."""
+    for index, body in enumerate(experiment.recorded):
+        starts = {
+            file: sample.start_quaternions[0, index]
+            for file, sample in trials.items()
+            if np.isfinite(sample.start_quaternions[0, index]).all()
+        }
+        if len(starts) < MIN_TRIALS:
+            continue
+        angles_rad, limit_rad = _turns(np.array([*starts.values()]))
+        for file, angle_rad in zip(starts, angles_rad, strict=True):
+            if angle_rad <= limit_rad:
+                continue
+            if not keep:
+                quaternions = trials[file].start_quaternions.copy()
+                quaternions[:, index] = np.nan
+                trials[file] = replace(trials[file], start_quaternions=quaternions)
+            problem = f"it starts turned by {np.degrees(angle_rad):.0f} deg from the other trials"
+            remedy = (
+                "check the order x, y, z, w and the axes; its orientation is left out"
+            )
+            yield TrialError(f"{body}.q", problem, remedy).finding(
+                file, left_out=not keep
+            )
+
+
+def _turns(quaternions: FloatArray) -> tuple[FloatArray, float]:
+    """Return the angles [rad] of quaternions, shape [N, 4], from the most central one, and the largest plausible."""
+    rotations = Rotation.from_quat(quaternions)
+    angles_rad = np.array([(rotations * one.inv()).magnitude() for one in rotations])
+    medians_rad = np.median(angles_rad, axis=1)
+    ratio = MIN_RATIO + MIN_RATIO_OF_FEW / len(quaternions) ** 2
+    limit_rad = max(MIN_TURN_RAD, ratio * float(medians_rad.min()))
+    return angles_rad[medians_rad.argmin()], limit_rad
 
 
 def _imported(

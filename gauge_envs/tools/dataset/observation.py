@@ -19,7 +19,7 @@ from gauge_envs.scene.driver_fit import motion_coordinates
 from gauge_envs.scene.drivers import Driver
 from gauge_envs.scene.geometry import FloatArray, length_of
 from gauge_envs.scoring.reference import reference_band
-from gauge_envs.scoring.user_file.gate import displacements
+from gauge_envs.scoring.user_file.gate import SAME_MM, displacements
 from gauge_envs.tools.dataset.findings import TrialError
 from gauge_envs.tools.dataset.trial import PoseTrack, Trial, check_lengths
 
@@ -118,7 +118,22 @@ def trial_points(trial: Trial, experiment: Experiment) -> FloatArray:
     if np.isnan(frames).all():
         problem = "no frame is complete"
         raise TrialError("(file)", problem, "expected samples")
+    _check_apart(point_names(experiment), frames)
     return frames
+
+
+def _check_apart(names: Sequence[str], points_mm: FloatArray) -> None:
+    """Raise an error if two points are at the same place in a frame; for the arguments, see `trial_points`."""
+    places_mm = points_mm.reshape(len(points_mm), -1, 3)
+    first, second = np.triu_indices(places_mm.shape[1], 1)
+    offsets_mm = np.abs(places_mm[:, first] - places_mm[:, second])
+    same = np.argwhere((offsets_mm <= SAME_MM).all(axis=2))
+    if len(same):
+        frame, pair = same[0]
+        owners = [name.rpartition(".")[0] for name in names[::3]]
+        problem = f"it is at the place of {owners[first[pair]]} in frame {frame}"
+        remedy = "write null for lost frames"
+        raise TrialError(owners[second[pair]], problem, remedy)
 
 
 def start_quaternions(trial: Trial, experiment: Experiment) -> FloatArray:

@@ -111,6 +111,14 @@ def exchanged(asset, first, second):
     return edit
 
 
+def copied(asset, first, second):
+    def edit(content):
+        content[asset][second] = content[asset][first]
+        return content
+
+    return edit
+
+
 # Variant, change of a trial, and expected message.
 DAMAGES = [
     (SLIDER, lambda content: encoded(content)[:500], r"\(file\): it is not JSON: .*; expected a complete file"),
@@ -123,6 +131,7 @@ DAMAGES = [
     (SLIDER, cube(lambda values: values[:5], "x y z qx qy qz qw"), r"\(file\): it has 5 frames; at least 9"),
     (FOAM, put("foam"), "markers: the marker set is missing; the file has cube"),
     (FOAM, put("foam.5"), "markers: it has 13 markers; expected 14"),
+    (FOAM, copied("foam", "5", "8"), "marker-1: it is at the place of marker-0 in frame 0"),
     (FOAM, exchanged("foam", "5", "44"), "markers.5: it starts at marker 13.*; .*the metadata's markers"),
 ]  # fmt: skip
 

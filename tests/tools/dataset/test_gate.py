@@ -205,6 +205,20 @@ def test_few_trials_are_compared_with_the_reference_or_not_at_all(tmp_path):
             assert not finding.left_out and "not compared" in finding.problem
 
 
+@pytest.mark.parametrize("order", [(3, 0, 1, 2), (1, 3, 2, 0)])
+def test_an_orientation_in_another_order_is_left_out(order, tmp_path):
+    """Option `trial` starts from the rotation relative to the mean of the trials, so a wrong one turns all starts."""
+    contents = clean_contents(SLIDER, np.random.default_rng(4))
+    keys = np.array(["qx", "qy", "qz", "qw"])
+    lists = [contents[0]["cube"][key] for key in keys[[*order]]]
+    contents[0]["cube"] |= dict(zip(keys, lists, strict=True))
+    outcome = import_files(tmp_path, SLIDER, [*map(as_text, contents)])
+    (finding,) = outcome.findings
+    assert (outcome.used, finding.key) == (20, "cube.q")
+    is_lost = np.isnan(load_imported(SLIDER).start_quaternions).all(axis=(1, 2, 3))
+    assert np.flatnonzero(is_lost).tolist() == [0]
+
+
 def test_another_material_is_named_and_kept_on_request(tmp_path, gauge):
     """A friction that is higher by 0.06 shortens the path by a fifth."""
     rng = np.random.default_rng(0)
