@@ -325,7 +325,9 @@ def test_an_environment_cannot_be_copied(build, copied):
 @pytest.mark.parametrize("build", UNIQUE)
 def test_two_threads_in_one_environment_get_an_error(build):
     """Each call of the second thread falls into a call of the first one, or between two."""
-    env = build().unwrapped
+    # A wrapper closes its environment when nobody holds it.
+    wrapped = build()
+    env = wrapped.unwrapped
     inside, outside = threading.Event(), threading.Event()
     advance = env.rollout.simulation.advance
 
