@@ -493,7 +493,7 @@ FAULTS = {
         engine=_SupportsRaises,
     ),
     "the scene is changed in place": Fault(
-        caught_by="order-of-names",
+        caught_by="determinism",
         says="the engine changed the scene that it was given: scene: gravity",
         engine=_ChangesScene,
     ),

@@ -44,7 +44,13 @@ MODULES = (
 )
 """Modules of checks, from simple to compound."""
 
-FIRST = ("determinism", "contact-listed")
+FIRST = (
+    "determinism",
+    "order-of-names",
+    "start-position",
+    "start-orientation",
+    "contact-listed",
+)
 """Checks that run first, since their failures make other results worthless."""
 
 
@@ -55,7 +61,8 @@ def checks(only: Sequence[str] = ()) -> tuple[Check, ...]:
         UnknownNameError: A pattern matches no check.
     """
     listed = [check for module in MODULES for check in module.check.registered]
-    known = sorted(listed, key=lambda check: check.id not in FIRST)
+    order = {name: place for place, name in enumerate(FIRST)}
+    known = sorted(listed, key=lambda check: order.get(check.id, len(order)))
     ids = [check.id for check in known]
     chosen: set[str] = set()
     for pattern in only or ["*"]:
