@@ -93,7 +93,9 @@ def test_a_cause_needs_the_results_of_all_checks():
 
 
 def test_a_broken_filter_is_found_before_motion():
-    assert [check.id for check in checks()][:2] == ["determinism", "contact-listed"]
+    first = [check.id for check in checks()][:5]
+    assert (first[0], first[-1]) == ("determinism", "contact-listed")
+    assert all(name.startswith(("order-", "start-")) for name in first[1:-1])
 
 
 def test_a_narrow_pass_has_both_numbers_and_a_wide_one_none():
