@@ -1,8 +1,10 @@
 """Documentation: links resolve, code and commands run, and every public name has a docstring."""
 
 import ast
+import csv
 import importlib
 import inspect
+import json
 import re
 import shlex
 from importlib.util import find_spec
@@ -285,3 +287,31 @@ def test_the_site_builds_without_a_warning(tmp_path):
         pytest.importorskip(package, reason="extra 'docs' is not installed")
     printed("-m", "sphinx", "-q", "-W", "--keep-going", "-b", "html", DOCS, tmp_path)
     assert (tmp_path / "index.html").is_file()
+
+
+def test_the_contacts_of_engines_are_those_of_their_tables():
+    """The column `glancing` is the check `oblique-slip`, and the others are those of the study."""
+    text = (ROOT / "docs" / "engines" / "comparison.md").read_text(encoding="utf-8")
+    shown = {}
+    for line in text.splitlines():
+        cells = [cell.strip() for cell in line.strip("|").split("|")]
+        # Genesis has another machine, and not all columns.
+        if len(cells) == 11 and all(cells) and cells[0] not in ("engine", "---"):
+            shown[cells[0]] = [float(cell) for cell in cells[1:]]
+    stored = json.loads((ROOT / "scoring" / "conformance.json").read_text())
+    glancing = {
+        (column["backend"], column["name"]): column["results"]["oblique-slip"]
+        for column in stored["columns"]
+    }
+    with (ROOT / "studies" / "contacts" / "engines.csv").open() as stream:
+        rows = list(csv.DictReader(stream))
+    assert len(rows) == len(shown)
+    for row in rows:
+        key = row["engine"], row["preset"]
+        name = key[0] if key[1] == "default" else f"{key[0]}, `{key[1]}`"
+        names = ["step_ms", "slide", "steep", "middle", "grazing"]
+        values = [float(row[column]) for column in names]
+        values.append(glancing[key]["measured"])
+        later = ["rebound", "slip_rebound", "creep_mm_s", "hop_mm"]
+        values += [float(row[column]) for column in later]
+        assert shown[name] == pytest.approx(values, rel=0.06, abs=0.006), name

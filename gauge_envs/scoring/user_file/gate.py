@@ -118,7 +118,7 @@ def trial_faults(
         if fault is None and law is not None:
             fault = against_law(law, trial)
             if fault is None and len(trials) < MIN_TRIALS:
-                fault = far_from_law(law, trial)
+                fault = _far_from_law(law, trial)
         if fault is None:
             motions[file] = trial
         else:
@@ -296,7 +296,7 @@ def _shares(
     return shares, limit
 
 
-def far_from_law(law: Band, trial: FloatArray) -> Fault | None:
+def _far_from_law(law: Band, trial: FloatArray) -> Fault | None:
     """Return where a motion is too far from its reference up to the largest displacement; None if nowhere.
 
     Args:

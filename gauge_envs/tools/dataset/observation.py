@@ -76,12 +76,17 @@ def generalized_trajectory(points_mm: FloatArray, experiment: Experiment) -> Flo
 
 
 def reference_motion_mm(experiment: Experiment) -> FloatArray | None:
-    """Return the displacement of `trial_points` in the reference of an experiment; None without one in mm."""
+    """Return the displacement of `trial_points` in the reference of an experiment; None without one in mm.
+
+    Coordinates that the reference does not have are NaN.
+    """
     band = reference_band(experiment)
     if band is None or band.compared.unit != "mm":
         return None
-    motion = displacements(band.compared.mean)
-    return motion @ np.linalg.pinv(band.compared.projection).T
+    projection = band.compared.projection
+    motion = displacements(band.compared.mean) @ np.linalg.pinv(projection).T
+    motion[:, ~projection.any(axis=0)] = np.nan
+    return motion
 
 
 def trial_points(trial: Trial, experiment: Experiment) -> FloatArray:
