@@ -110,6 +110,7 @@ def touching(robot: Robot) -> dict[tuple[int, int], FloatArray]:
     model, data = robot.model, mujoco.MjData(robot.model)
     data.qpos[:], data.ctrl[:] = robot.stance.qpos, robot.stance.ctrl
     count, force = round(RUN_S / model.opt.timestep), np.zeros(6)
+    # The normal force, and the tangential force as a vector [N].
     sums: dict[tuple[int, int], FloatArray] = {}
     for step in range(count):
         mujoco.mj_step(model, data)
@@ -253,6 +254,7 @@ class Bench:
 
     @cached_property
     def _pressed_m_per_s2(self) -> float:
+        """Acceleration of gravity that presses the mass with the load."""
         return self.touch.load_n / self.touch.mass_kg
 
     def _run(
@@ -303,11 +305,8 @@ class Bench:
         table = self._run(SETTLE_S, (*(pull * along), -pressed), -self._rest[0])
         late = len(table) // 2
         seconds = (len(table) - 1 - late) * self.model.opt.timestep
-        gained, lifted = (
-            (table[-1] - table[late])[1:]
-            / seconds
-            @ np.column_stack([[*along, 0.0], [0.0, 0.0, 1.0]])
-        )
+        rates_m_per_s2 = (table[-1] - table[late])[1:] / seconds
+        gained, lifted = rates_m_per_s2[:2] @ along, rates_m_per_s2[2]
         if lifted < -HALF * pressed:
             return math.nan
         return float((pull - gained) / (self.friction * (pressed + lifted)))
