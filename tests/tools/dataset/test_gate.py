@@ -186,6 +186,25 @@ def test_clean_trials_are_all_imported(name, tmp_path):
         assert (outcome.used, left_out) == (len(contents), []), options
 
 
+def test_starts_far_apart_with_lost_frames_are_clean(tmp_path):
+    """Each trial starts elsewhere, by up to 285 mm. Offsets are no deviations, and lost frames must not make them some."""
+    rng = np.random.default_rng(2)
+    name = "SlopeSlider-3-plastic"
+    contents = clean_contents(name, rng, noise_mm=1.0, lost=0.05)
+    for content in contents:
+        offset_mm = rng.normal(size=3)
+        offset_mm *= 285.0 * rng.uniform(0.3, 1.0) / np.linalg.norm(offset_mm)
+        for asset in content.values():
+            if not isinstance(asset, dict) or "x" not in asset:
+                continue
+            for axis, by_mm in zip("xyz", offset_mm, strict=True):
+                asset[axis] = [
+                    None if place is None else place + by_mm for place in asset[axis]
+                ]
+    outcome = import_files(tmp_path, name, [*map(as_text, contents)])
+    assert [finding for finding in outcome.findings if finding.left_out] == []
+
+
 def test_few_trials_are_compared_with_the_reference_or_not_at_all(tmp_path):
     """The board of the free slide has a law; the motion of a turntable may differ from that of the reference."""
     for name, part in ((SLIDER, ("cube", None)), (PLATE, ("cube", None))):
