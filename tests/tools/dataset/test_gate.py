@@ -187,7 +187,7 @@ def test_clean_trials_are_all_imported(name, tmp_path):
 
 
 def test_starts_far_apart_with_lost_frames_are_clean(tmp_path):
-    """Each trial starts elsewhere, by up to 285 mm. Offsets are no deviations, and lost frames must not make them some."""
+    """Each trial starts up to 285 mm elsewhere. With lost frames, its offset must not look like a deviation."""
     rng = np.random.default_rng(2)
     name = "SlopeSlider-3-plastic"
     contents = clean_contents(name, rng, noise_mm=1.0, lost=0.05)
