@@ -24,7 +24,7 @@ REFERENCES = {
     Kind.PUBLISHED: "a motion from published numbers: a cradle, a cube that holds",
     Kind.ANALYTIC: "an analytical solution: turntables, pendulum, ramps, foam, funnel",
     Kind.NUMERICAL: "a numerical solution: most cloth, foam, rope",
-    Kind.NONE: "nothing: a wall, cloth that a ball turns",
+    Kind.NONE: "nothing: cloth that a ball turns",
 }
 """Text of the reference, by kind."""
 

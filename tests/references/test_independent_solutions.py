@@ -313,3 +313,49 @@ def test_a_row_of_blocks_swings_as_in_mujoco(foam):
         apart_mm = np.linalg.norm(np.array(stored[str(frame)]) - band.mean[frame])
         moved_mm = np.linalg.norm(band.mean[frame] - band.mean[0])
         assert apart_mm < limit * moved_mm
+
+
+# --- a ball that strikes a wall --------------------------------------------------------------------------------------
+
+
+def blow(scene):
+    """Return when the ball touches the wall [s], and its horizontal speed then [m/s], by the equation of a pendulum."""
+    (tether,), ball, brick = scene.joints, scene.body("ball"), scene.body("brick-1")
+    front_m = brick.pose.position_m[0] - 0.5 * brick.shape.size_m[0]
+    touch_rad = np.arcsin(
+        (front_m - ball.shape.radius_m - tether.anchor_m[0]) / tether.length_m
+    )
+    back_m = tether.anchor_m[0] - ball.pose.position_m[0]
+    stiffness_per_s2 = scene.gravity_m_per_s2 / tether.length_m
+
+    def slopes(_, state):
+        return [state[1], -stiffness_per_s2 * np.sin(state[0])]
+
+    def touches(_, state):
+        return state[0] - touch_rad
+
+    touches.terminal = True
+    start = [-np.arcsin(back_m / tether.length_m), 0.0]
+    swing = solve_ivp(slopes, (0.0, 1.0), start, events=touches, rtol=1e-10, atol=1e-12)
+    speed_m_per_s = tether.length_m * swing.y[1, -1] * np.cos(touch_rad)
+    return swing.t[-1], speed_m_per_s
+
+
+def test_a_wall_rests_until_the_blow_and_takes_no_more_than_its_momentum():
+    name = "WallBreaking-wood"
+    scene, band = load_experiment(name).scene, load_band(name)
+    time_s, speed_m_per_s = blow(scene)
+    moved_mm = band.mean[:, 0] - band.mean[0, 0]
+    last_at_rest = int(30.0 * time_s)
+    assert np.abs(moved_mm[: last_at_rest + 1]).max() < 0.02
+    assert moved_mm[last_at_rest + 1] > 0.1
+
+    restitution = scene.contacts[0].restitution
+    wall_kg = sum(
+        body.mass_kg for body in scene.bodies if body.name.startswith("brick")
+    )
+    most_n_s = (1.0 + restitution) * scene.body("ball").mass_kg * speed_m_per_s
+    known_mm = moved_mm[np.isfinite(moved_mm)]
+    momentum_n_s = wall_kg * 1e-3 * 30.0 * np.diff(known_mm)[last_at_rest:]
+    assert (momentum_n_s < most_n_s).all()
+    assert momentum_n_s[1:].min() > 0.2 * most_n_s
