@@ -167,6 +167,7 @@ class Band:
         points: Positions of the markers as a band in mm; scores and rewards of cloth and foam use them.
         exact_law: Law of the exact motion of the scene, see `gauge_envs.scoring.exact`; None without a closed form.
         given_uncertainty: `standard_uncertainty` from a file; None computes it from the arrays.
+        events: Real values of events of a single trial.
 
     Raises:
         ShapeError: Arrays do not fit each other.
@@ -191,6 +192,7 @@ class Band:
     points: Band | None = None
     exact_law: ExactLaw | None = None
     given_uncertainty: float | None = None
+    events: tuple[RecordedEvent, ...] = ()
 
     def __post_init__(self) -> None:
         for name in ARRAYS:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from gauge_envs.errors import ParameterError
 from gauge_envs.files import npz_arrays
-from gauge_envs.references.band import Band, ExactLaw
+from gauge_envs.references.band import Band, ExactLaw, RecordedEvent
 from gauge_envs.references.kind import Kind
 from gauge_envs.references.tables import scoring_folder
 from gauge_envs.scene.geometry import FloatArray
@@ -185,6 +185,18 @@ class SingleShots:
             exact_law=ExactLaw(law)
             if (law := self.metadata.get("exact_law"))
             else None,
+            events=tuple(
+                RecordedEvent(
+                    name=event["name"],
+                    unit=event["unit"],
+                    value=float(self.arrays[event["name"]][trial]),
+                    standard_uncertainty=float(
+                        self.arrays[f"{event['name']}_std"][trial]
+                    ),
+                    source=event["source"],
+                )
+                for event in self.metadata.get("events", ())
+            ),
         )
 
 

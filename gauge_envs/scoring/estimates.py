@@ -156,14 +156,21 @@ def estimates(
 def _of_free_body(
     experiment: Experiment, band: Band, times_s: FloatArray, values: FloatArray
 ) -> dict[str, ComparedQuantity]:
-    """Return the restitution of a rebound, or the friction of a slide."""
+    """Return the restitution of a rebound, or the friction of a slide.
+
+    Friction of an oblique impact turns the change of velocity away from the normal, so only a drop has a restitution.
+    """
     projected = band.project(values)
+    (name,) = experiment.recorded
+    body = experiment.scene.body(name)
     contacts = [
         contact
         for contact in experiment.scene.contacts
-        if experiment.recorded[0] in (*contact.first, *contact.second)
+        if name in (*contact.first, *contact.second)
     ]
-    if contacts and all(contact.mode is ContactMode.IMPACT for contact in contacts):
+    falls = not any((*body.linear_velocity_m_per_s, *body.angular_velocity_rad_per_s))
+    is_impact = all(contact.mode is ContactMode.IMPACT for contact in contacts)
+    if contacts and is_impact and falls:
         gravity = experiment.scene.gravity_m_per_s2
         along = band.projection @ [0.0, 0.0, -gravity]
         restitution = rebound(times_s, projected, gravity_m_per_s2=along)

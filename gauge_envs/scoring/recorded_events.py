@@ -14,10 +14,20 @@ from functools import partial
 import numpy as np
 
 from gauge_envs.observables.deformation import deformation, solid_axes
-from gauge_envs.scene import Scene
-from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene import Scene, Sphere
+from gauge_envs.scene.geometry import FloatArray, length_of
 from gauge_envs.scene.timing import FRAME_RATE_HZ
+from gauge_envs.scoring.estimators import speed_at_contact_m_per_s
 from gauge_envs.scoring.events import oscillation_period, swing_times
+
+CONTACT_S = 0.005
+"""Time after a bounce that may belong to the contact [s]."""
+
+MIN_SAMPLES = 4
+"""Smallest number of samples of the flight after a bounce."""
+
+MAX_MISFIT = 0.04
+"""Largest distance of a flight from its parabola, over its size."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,6 +104,50 @@ def _turning_ratio(motion: SampledMotion) -> float:
     return float(angles[turns[2] + 1] / angles[0]) if len(turns) > 2 else math.nan
 
 
+def _bounce(motion: SampledMotion) -> tuple[FloatArray, FloatArray] | None:
+    """Return the velocities of a ball before and after it strikes a level plane [m/s]; None without a flight after it.
+
+    The flight before follows from the start of the scene. The samples after it are on a parabola with a known gravity.
+    """
+    scene = motion.scene
+    ball, plane = scene.body("ball"), scene.body("table")
+    assert isinstance(ball.shape, Sphere)
+    gravity = scene.gravity_m_per_s2
+    contact_m = plane.pose.position_m[2] + ball.shape.radius_m
+    velocity = np.array(ball.linear_velocity_m_per_s)
+    top_m = ball.pose.position_m[2] + velocity[2] ** 2 / (2.0 * gravity)
+    fall_speed = speed_at_contact_m_per_s(top_m - contact_m, gravity)
+    since_s = motion.times_s - (velocity[2] + fall_speed) / gravity
+    after = since_s > CONTACT_S
+    if after.sum() < MIN_SAMPLES:
+        return None
+    since_s, path_m = since_s[after], 1e-3 * motion.samples[after]
+    straight_m = path_m + 0.5 * gravity * np.outer(since_s**2, [0.0, 0.0, 1.0])
+    rise, start_m = np.polyfit(since_s, straight_m, 1)
+    residual_m = straight_m - start_m - np.outer(since_s, rise)
+    if length_of(residual_m) > MAX_MISFIT * length_of(path_m - path_m.mean(axis=0)):
+        return None
+    top_m = start_m[2] + rise[2] ** 2 / (2.0 * gravity)
+    rise[2] = speed_at_contact_m_per_s(top_m - contact_m, gravity)
+    return np.array([*velocity[:2], -fall_speed]), rise
+
+
+def _restitution(motion: SampledMotion) -> float:
+    """Return the speed of a ball away from a level plane after a bounce over that towards it before."""
+    found = _bounce(motion)
+    return math.nan if found is None else float(found[1][2] / -found[0][2])
+
+
+def _impulse_ratio(motion: SampledMotion) -> float:
+    """Return the impulse against the motion along a level plane over that normal to it, in a bounce."""
+    found = _bounce(motion)
+    if found is None:
+        return math.nan
+    fall, rise = found
+    along = fall[:2] / length_of(fall[:2])
+    return float((fall - rise)[:2] @ along / (rise - fall)[2])
+
+
 def _chord_deg(
     motion: SampledMotion, extreme: Callable[..., float], from_s: float, until_s: float
 ) -> float:
@@ -123,6 +177,8 @@ EVENTS: dict[str, Callable[[SampledMotion], float]] = {
     "cube_lag_mm": partial(_lag_mm, from_s=1.5, until_s=2.0),
     "slide_acceleration_m_per_s2": _slide_acceleration_m_per_s2,
     "turning_ratio": _turning_ratio,
+    "restitution": _restitution,
+    "impulse_ratio": _impulse_ratio,
     "cloth_lag_deg": lambda motion: _chord_deg(motion, np.max, 0.0, 0.9),
     "cloth_swing_deg": lambda motion: _chord_deg(motion, np.min, 0.9, 2.1),
     "cloth_rebound_deg": lambda motion: _chord_deg(motion, np.max, 1.75, 2.8),

@@ -59,7 +59,7 @@ def score_trajectory(
         if fault is not None:
             raise ShapeError(f"{experiment.name}: {fault}")
     reason = refusal(experiment, band, is_moved=is_moved)
-    events = _events(experiment, times_s, values, frames, markers_m)
+    events = _events(experiment, band, times_s, values, frames, markers_m)
     unit = experiment.score.observable.unit
     score = Score(
         kind=(Kind.NONE if band is None else band.kind).value,
@@ -85,6 +85,7 @@ def score_trajectory(
 
 def _events(
     experiment: Experiment,
+    band: Band | None,
     times_s: FloatArray,
     values: FloatArray,
     frames: FloatArray,
@@ -105,7 +106,8 @@ def _events(
         )
     if markers_m is None and experiment.scene.markers is not None:
         return events
-    for event in recorded_events(experiment.name):
+    of_trial = () if band is None else band.events
+    for event in (*recorded_events(experiment.name), *of_trial):
         motion = SampledMotion(
             scene=experiment.scene,
             times_s=times_s,

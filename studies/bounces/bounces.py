@@ -5,6 +5,7 @@ python studies/bounces/bounces.py states     # velocities at the bounce, restitu
 python studies/bounces/bounces.py write      # the files of the trials
 """
 
+import math
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -54,7 +55,21 @@ copies = []
 [nuisances]
 length_scale = 1.0
 height_offset_m = 0.0
+
+[[events]]
+name = "restitution"
+unit = "1"
+source = "vertical speed after the bounce over that before it, from the fitted flights"
 """
+
+
+IMPULSE_RATIO = """
+[[events]]
+name = "impulse_ratio"
+unit = "1"
+source = "loss of the speed along the table over the change of the vertical speed, from the fitted flights"
+"""
+"""The second event. A ball that rolls before and after a bounce has none: its friction does not show."""
 
 
 class Setting(NamedTuple):
@@ -227,6 +242,28 @@ def bounce(flight: Flight, setting: Setting) -> Bounce | None:
     )
 
 
+def events(item: Bounce, setting: Setting) -> dict[str, tuple[float, float]]:
+    """Return restitution and tangential over normal impulse of a bounce, each with its standard uncertainty."""
+    fall, rise = -item.before[2], item.after[2]
+    restitution = rise / fall
+    restitution_std = restitution * math.hypot(
+        item.before_std[2] / fall, item.after_std[2] / rise
+    )
+    normal = fall + rise
+    ratio = (item.before - item.after)[0] / normal
+    lost_std = math.hypot(item.before_std[0], item.after_std[0])
+    normal_std = math.hypot(item.before_std[2], item.after_std[2])
+    # A simulation starts with the spin of the setting. It changes the impulse of a ball that grips.
+    slip = item.before[0] - RADIUS_M * setting.spin_rad_per_s
+    grips = abs(ratio) * normal > 0.2 * abs(slip)
+    spin_std = 0.4 * RADIUS_M * setting.spin_std_rad_per_s if grips else 0.0
+    ratio_std = math.hypot(lost_std, ratio * normal_std, spin_std) / normal
+    return {
+        "restitution": (restitution, restitution_std),
+        "impulse_ratio": (ratio, ratio_std),
+    }
+
+
 def bounces(setting: Setting) -> list[Bounce]:
     """Return the bounces of a setting, in the order of its trials."""
     found = (bounce(flight, setting) for flight in flights(setting.source))
@@ -263,8 +300,18 @@ def write(name: str, setting: Setting, folder: Path) -> None:
             + of_spin**2
         )
         stds.append(np.hypot(item.noise_m, since_s * std))
+    # One more bounce differs by the scatter, which holds the noise of the fits, and not by less than the noise.
+    measured = np.array([list(events(item, setting).values()) for item in found])
+    measured[:, :, 1] = np.maximum(
+        measured[:, :, 1], measured[:, :, 0].std(axis=0, ddof=1)
+    )
     np.savez_compressed(
         folder / f"ObliqueBounce-{name}.npz",
+        **{
+            f"{key}{suffix}": measured[:, column, index]
+            for column, key in enumerate(events(found[0], setting))
+            for index, suffix in enumerate(("", "_std"))
+        },
         source_number=np.array([item.number for item in found], np.int16),
         first=np.arange(len(found) + 1, dtype=np.int32) * FRAMES,
         position=np.round(np.concatenate(positions) / POSITION_UNIT_M).astype(np.int32),
@@ -281,6 +328,7 @@ def write(name: str, setting: Setting, folder: Path) -> None:
     )
     (folder / f"ObliqueBounce-{name}.toml").write_text(
         SIDECAR.format(count=len(found), setting=setting.source)
+        + (IMPULSE_RATIO if name != "topspin" else "")
     )
 
 
@@ -306,14 +354,15 @@ def main(command: str) -> None:
             found = bounces(setting)
             for half, start in (("even", 0), ("odd", 1)):
                 items = found[start::2]
-                restitution = [-item.after[2] / item.before[2] for item in items]
-                ratio = [
-                    (item.before - item.after)[0] / (item.after - item.before)[2]
-                    for item in items
-                ]
                 means = [
-                    np.array([*item.before, *item.after, e, r])
-                    for item, e, r in zip(items, restitution, ratio, strict=True)
+                    np.array(
+                        [
+                            *item.before,
+                            *item.after,
+                            *(value for value, _ in events(item, setting).values()),
+                        ]
+                    )
+                    for item in items
                 ]
                 if len(means) > 1:
                     print(name, half, len(items), _mean(means))

@@ -1,12 +1,15 @@
 """Events of real recordings: each function finds the event of a made motion; each entry has a function."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from gauge_envs import load_experiment, variants
+from gauge_envs.experiments.resolve import with_trial
 from gauge_envs.references.band import recorded_events
+from gauge_envs.references.single_shot import single_shots
 from gauge_envs.scoring.recorded_events import EVENTS, SampledMotion
 
 TIMES_S = np.arange(600) / 180.0
@@ -121,9 +124,47 @@ def test_a_cloth_swings_under_its_rod():
     assert events == pytest.approx([18.0, -30.0, 6.0])
 
 
+@pytest.mark.parametrize("rate_hz", [30.0, 180.0])
+def test_an_oblique_bounce_has_the_restitution_and_the_impulse_of_its_velocities(
+    rate_hz,
+):
+    """Each start of a real trial, with drawn velocities after the bounce."""
+    draw = np.random.default_rng(0)
+    for trial in range(20):
+        name = "ObliqueBounce-robot"
+        scene = with_trial(load_experiment(name), trial).scene
+        ball = scene.body("ball")
+        fall = np.array(ball.linear_velocity_m_per_s)
+        drop_m = ball.pose.position_m[2] - 0.02
+        gravity = scene.gravity_m_per_s2
+        fall[2] = -np.sqrt(fall[2] ** 2 + 2.0 * gravity * drop_m)
+        bounce_s = (ball.linear_velocity_m_per_s[2] - fall[2]) / gravity
+
+        restitution, ratio = draw.uniform(0.3, 1.2), draw.uniform(-0.2, 0.6)
+        along = fall[:2] / np.linalg.norm(fall[:2])
+        rise = np.array([0.0, 0.0, -restitution * fall[2]])
+        rise[:2] = fall[:2] - ratio * (rise - fall)[2] * along
+        since_s = np.arange(0.0, 0.24, 1.0 / rate_hz) - bounce_s
+        path_m = np.outer(since_s, rise)
+        path_m[:, 2] += 0.02 - 0.5 * gravity * since_s**2
+        path_m[since_s < 0.0] = 0.5
+        motion = SampledMotion(
+            scene=scene,
+            times_s=since_s + bounce_s,
+            samples=1e3 * path_m,
+            markers_m=np.zeros((1, 0, 3)),
+        )
+        values = [EVENTS[key](motion) for key in ("restitution", "impulse_ratio")]
+        assert values == pytest.approx([restitution, ratio])
+        rests = replace(motion, samples=1e3 * np.full_like(path_m, 0.02))
+        assert np.isnan(EVENTS["restitution"](rests))
+
+
 def test_each_entry_has_a_function_and_one_source():
     entries = [recorded_events(variant.name) for variant in variants()]
-    used = set()
+    used = {
+        event.name for event in single_shots("ObliqueBounce-nospin").band(0, 8).events
+    }
     for events in entries:
         names = [event.name for event in events]
         assert len(names) == len(set(names))

@@ -26,7 +26,7 @@ from gauge_envs.tools.video.scoring import VideoScore, score
 from gauge_envs.tools.video.tasks import (
     video_task,
 )
-from gauge_envs.tools.video.track import save_track
+from gauge_envs.tools.video.track import TRACK_SUFFIXES, save_track
 
 
 def list_video_tasks(patterns: Sequence[str]) -> list[Table]:
@@ -65,7 +65,7 @@ def video_score(
         list[Path],
         typer.Argument(
             metavar="VIDEO",
-            help="Videos, or tracks of any tracker: .csv with time, x, y.",
+            help="Videos, or tracks of any tracker: .csv with time, x, y, or .json with the centre of each frame.",
         ),
     ],
     task: Annotated[
@@ -104,7 +104,7 @@ def video_score(
         print_document(report.score_document(result, video_task(task)), form)
         if out is not None:
             message(save_track(result.track, out / f"{file.stem}.track.csv"))
-        if out is not None and file.suffix.lower() != ".csv":
+        if out is not None and file.suffix.lower() not in TRACK_SUFFIXES:
             picture = report.track_picture(result, file)
             message(save_file(out / f"{file.stem}.track.jpg", picture))
         has_failed = has_failed or not result.is_sound
@@ -116,7 +116,7 @@ def video_report(
         Path,
         typer.Argument(
             metavar="DIR",
-            help="Videos MODEL/TASK.mp4 or MODEL/TASK/seed_1.mp4; a .csv with the same name is the track.",
+            help="Videos MODEL/TASK.mp4 or MODEL/TASK/seed_1.mp4; a .csv or .json with the same name is the track.",
         ),
     ],
     out: Annotated[
@@ -137,10 +137,11 @@ def video_report(
     with Progress("videos", len(videos)) as progress:
         for model, task, file in videos:
             progress.show(f"{model}: {task}")
-            track = file.with_suffix(".csv")
+            tracks = map(file.with_suffix, TRACK_SUFFIXES)
+            source = next(filter(Path.exists, tracks), file)
             result = None
             try:
-                result = score(track if track.exists() else file, task=task)
+                result = score(source, task=task)
                 result = replace(result, video=str(file.relative_to(folder)))
             except VideoError as error:
                 errors.append(str(error))

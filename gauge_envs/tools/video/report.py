@@ -1,5 +1,6 @@
 """Report scores of videos: the result of a clip, the table of many models, a page, and pictures of tracks."""
 
+import math
 from base64 import b64encode
 from collections.abc import Sequence
 from itertools import islice
@@ -15,8 +16,16 @@ from gauge_envs.pages.page import page
 from gauge_envs.pages.table import Column, Table
 from gauge_envs.tools.video.frames import FileFrames, Picture, cv2
 from gauge_envs.tools.video.scoring import VideoScore
-from gauge_envs.tools.video.tasks import VideoTask, video_tasks
-from gauge_envs.tools.video.track import VIDEO_SUFFIXES, video_of
+from gauge_envs.tools.video.tasks import (
+    VideoTask,
+    published_values,
+    video_tasks,
+)
+from gauge_envs.tools.video.track import (
+    TRACK_SUFFIXES,
+    VIDEO_SUFFIXES,
+    video_of,
+)
 
 TITLES = {
     "a": "a [m/s^2]",
@@ -43,6 +52,9 @@ VALUES_NOTE = (
     f"{VERDICT_NOTE} Mean over the clips (seeds) with sound tracks, and their number. "
     "Law: ideal motion with the published constants, Table 3 of the paper."
 )
+
+DIFFERENCE = 0.1
+"""Relative difference from a published value that is named."""
 
 RETAINED, DROPPED = (80, 200, 80), (150, 150, 150)
 """Colours of retained and of dropped places, in blue, green and red."""
@@ -126,32 +138,60 @@ def score_document(result: VideoScore, task: VideoTask) -> Document:
 
 
 def model_table(clips: Clips) -> Table:
-    """Return Table 3 of the paper: a row for each task and metric, a column for each model."""
+    """Return Table 3 of the paper: a row for each task and metric, a column for each model.
+
+    A model of the paper, as `cosmos3_nano_negative`, has its published values beside, and a note on those that differ.
+    """
     results: dict[tuple[str, str], list[VideoScore | None]] = {}
     for model, task, _, result in clips:
         results.setdefault((model, task), []).append(result)
     models = dict.fromkeys(model for model, _ in results)
     scored = {task for _, task in results}
-    rows = []
+    known = {name for values in published_values().values() for name in values}
+    rows, differing = [], []
+    published_count = 0
     for shown in video_tasks():
         if shown.id not in scored:
             continue
         for name, law in shown.law.items():
             row: Row = {"task": shown.id, "metric": TITLES[name], "law": law}
+            published = published_values()[shown.id, name]
             for model in models:
-                row[model] = _mean_text(name, results.get((model, shown.id)))
+                of_model = results.get((model, shown.id), [])
+                values = _sound_values(name, of_model)
+                row[model] = _mean_text(values, len(of_model))
+                if model not in known:
+                    continue
+                paper = published.get(model)
+                row[f"{model}, paper"] = paper
+                if paper is None or not values:
+                    continue
+                published_count += 1
+                if not math.isclose(np.mean(values), paper, rel_tol=DIFFERENCE):
+                    differing.append(f"{model} {shown.id} {TITLES[name]}")
             rows.append(row)
-    return _table(rows, VALUES_NOTE)
+    notes = [VALUES_NOTE]
+    if published_count:
+        names = ": " + ", ".join(differing) if differing else ""
+        notes.append(
+            f"{len(differing)} of {published_count} values differ from those of the paper by more than "
+            f"{100 * DIFFERENCE:.0f} %{names}."
+        )
+    return _table(rows, *notes)
 
 
-def _mean_text(name: str, clips: Sequence[VideoScore | None] | None) -> str | None:
-    """Return the mean of a metric over sound tracks, and their number; None without clips."""
-    if clips is None:
+def _mean_text(values: Sequence[float], count: int) -> str | None:
+    """Return the mean over sound tracks, and their number of all clips; None without clips."""
+    if not count:
         return None
-    sound = [clip.metrics[name] for clip in clips if clip and clip.is_sound]
-    values = [value for value in sound if value is not None]
     mean = f"{np.mean(values):.4g} " if values else ""
-    return f"{mean}({len(values)} of {len(clips)})"
+    return f"{mean}({len(values)} of {count})"
+
+
+def _sound_values(name: str, clips: Sequence[VideoScore | None]) -> list[float]:
+    """Return a metric of the clips with sound tracks."""
+    sound = [clip.metrics[name] for clip in clips if clip and clip.is_sound]
+    return [value for value in sound if value is not None]
 
 
 # --- page ------------------------------------------------------------------------------------------------------------
@@ -160,7 +200,7 @@ def _mean_text(name: str, clips: Sequence[VideoScore | None] | None) -> str | No
 def find_videos(folder: Path) -> tuple[list[tuple[str, str, Path]], list[Path]]:
     """Return model, task and file of videos `MODEL/TASK.mp4` and `MODEL/TASK/seed_1.mp4`, and all misnamed files.
 
-    Tracks have the suffix `.csv`. The track of a video in the same folder is left out.
+    The track of a video in the same folder is left out.
 
     Raises:
         VideoError: The folder has no such video.
@@ -169,9 +209,9 @@ def find_videos(folder: Path) -> tuple[list[tuple[str, str, Path]], list[Path]]:
     videos, misnamed = [], []
     for file in sorted(filter(Path.is_file, folder.rglob("[!.]*"))):
         model, task, *_ = (*file.relative_to(folder).with_suffix("").parts, "")
-        if task not in tasks or file.suffix not in (*VIDEO_SUFFIXES, ".csv"):
+        if task not in tasks or file.suffix not in (*VIDEO_SUFFIXES, *TRACK_SUFFIXES):
             misnamed.append(file)
-        elif file.suffix != ".csv" or video_of(file) is None:
+        elif file.suffix not in TRACK_SUFFIXES or video_of(file) is None:
             videos.append((model, task, file))
     if not videos:
         raise VideoError(
@@ -190,7 +230,7 @@ def video_page(clips: Clips, table: Table) -> str:
                 Paragraph(verdict(result)),
                 Bullets((*result.reasons, *result.findings)),
             ]
-            if file.suffix != ".csv":
+            if file.suffix not in TRACK_SUFFIXES:
                 data = b64encode(track_picture(result, file)).decode()
                 source = f"data:image/jpeg;base64,{data}"
                 parts.append(element("img", alt="the track", src=source))

@@ -15,7 +15,7 @@ from gauge_envs.tools.video import laws
 from gauge_envs.tools.video.frames import FileFrames
 from gauge_envs.tools.video.soundness import faults_of
 from gauge_envs.tools.video.tasks import MotionKind, VideoTask, task_scene, video_task
-from gauge_envs.tools.video.track import Track, read_track
+from gauge_envs.tools.video.track import TRACK_SUFFIXES, Track, read_track
 from gauge_envs.tools.video.tracker import track_object
 
 Metrics: TypeAlias = dict[str, float]
@@ -91,7 +91,7 @@ def score(path: Path | str, fps: float | None = None, task: str = "") -> VideoSc
     """Track the object of a task through a video, or read its track, and score its motion.
 
     Args:
-        path: The video, or the CSV file of a track.
+        path: The video, or the file of a track.
         fps: Frames per second; the rate of the file if None.
         task: Id of a task, such as `SlopeSlider-2-wood`; see `gauge_envs.tools.video.video_tasks`.
 
@@ -101,7 +101,7 @@ def score(path: Path | str, fps: float | None = None, task: str = "") -> VideoSc
         MissingExtraError: OpenCV is not installed.
     """
     chosen, path = video_task(task), Path(path)
-    if path.suffix.lower() == ".csv":
+    if path.suffix.lower() in TRACK_SUFFIXES:
         track = read_track(path, fps=fps)
     else:
         track = track_object(FileFrames(path, fps=fps), chosen)

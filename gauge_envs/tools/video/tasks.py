@@ -104,13 +104,22 @@ def task_scene(task: str) -> Scene:
 
 
 @cache
+def published_values() -> dict[tuple[str, str], dict[str, float]]:
+    """Return Table 3 of GAUGE's paper: values by task and metric, then by "real_baseline" or model."""
+    file = scoring_folder("published") / "world_model_results.csv"
+    values = {}
+    for row in csv.DictReader(csv_text(file.read_bytes())):
+        task, metric, _unit = (row.pop(key) for key in ("variant", "metric", "unit"))
+        values[task, metric] = {name: float(text) for name, text in row.items() if text}
+    return values
+
+
+@cache
 def published_law() -> dict[str, dict[str, float]]:
     """Return the column "real baseline" of Table 3 of GAUGE's paper by task and metric."""
-    file = scoring_folder("published") / "world_model_results.csv"
     laws: dict[str, dict[str, float]] = {}
-    for row in csv.DictReader(csv_text(file.read_bytes())):
-        values = laws.setdefault(row["variant"], {})
-        values[row["metric"]] = float(row["real_baseline"])
+    for (task, metric), values in published_values().items():
+        laws.setdefault(task, {})[metric] = values["real_baseline"]
     return laws
 
 

@@ -13,7 +13,7 @@ from gauge_envs.errors import VideoError
 from gauge_envs.pages.document import save_file
 from gauge_envs.reading import reading
 from gauge_envs.scene.geometry import BoolArray, FloatArray, IntArray
-from gauge_envs.text import csv_text
+from gauge_envs.text import csv_text, json_document
 from gauge_envs.tools.video.frames import FileFrames, Registration, laid_out
 from gauge_envs.tools.video.tasks import REFERENCE_SIZE_PX
 
@@ -21,7 +21,10 @@ COLUMNS = {"time", "frame", "x", "y", "x_grid", "y_grid"}
 """Known columns of a track file."""
 
 VIDEO_SUFFIXES = (".mp4", ".webm", ".mkv", ".mov", ".avi")
-"""Suffixes of videos; tracks have `.csv`."""
+"""Suffixes of videos."""
+
+TRACK_SUFFIXES = (".csv", ".json")
+"""Suffixes of tracks."""
 
 GIVEN = "the track comes from a file: no picture was checked"
 """Note on a track from a file."""
@@ -96,23 +99,28 @@ def video_of(track: Path) -> Path | None:
 
 
 def read_track(path: Path | str, *, fps: float | None = None) -> Track:
-    """Return a track from a CSV file of any tracker.
+    """Return a track from a CSV or JSON file of any tracker.
 
     The file has `time` [s] or `frame`. Pixels from the top left corner of the video with the same name, else of the
     known first frame, are in `x` and `y`. Pixels of the known first frame are in `x_grid` and `y_grid`. Other columns
     are ignored. Rows without a position have empty cells
-    or are left out.
+    or are left out. A JSON file has the centre `[x, y]` of each frame by its number, as the tracks of the benchmark.
 
     Args:
         path: The file.
-        fps: Frames per second of the video; required without a column `time`.
+        fps: Frames per second; those of the video with the same name if None. Without both, times are required.
 
     Raises:
         VideoError: The file cannot be read, a column or the rate is missing, or a cell is not a number or not in the
             video.
     """
     values, video = _columns(Path(path)), video_of(Path(path))
-    size_px = FileFrames(video).size_px if video else REFERENCE_SIZE_PX
+    size_px = REFERENCE_SIZE_PX
+    if video is not None:
+        frames_of_video = FileFrames(video)
+        size_px = frames_of_video.size_px
+        if "time" not in values:
+            fps = fps or frames_of_video.fps
     unit = "_grid" if "x_grid" in values else ""
     x, y = values.get(f"x{unit}"), values.get(f"y{unit}")
     if x is None or y is None or not values.keys() & {"time", "frame"}:
@@ -134,7 +142,9 @@ def read_track(path: Path | str, *, fps: float | None = None) -> Track:
     elif fps is not None and "frame" in values:
         times_s = frames / fps
     else:
-        raise VideoError(f"{path}: give a column time [s], or frame and --fps")
+        raise VideoError(
+            f"{path}: give a column time [s], or frame and --fps, or the video with the same name"
+        )
     steps_s, frame_steps = np.diff(times_s), np.diff(frames)
     if count < 2 or not (np.minimum(steps_s, frame_steps) > 0.0).all():
         raise VideoError(f"{path}: time and frame must increase from row to row")
@@ -168,7 +178,9 @@ def save_track(track: Track, path: Path) -> Path:
 
 
 def _columns(path: Path) -> dict[str, FloatArray]:
-    """Return the known columns of a CSV file by name; empty cells are NaN."""
+    """Return the known columns of a file by name; empty cells are NaN."""
+    if path.suffix.lower() == ".json":
+        return _centres(path)
     with reading(path, VideoError, "a CSV file of numbers") as content:
         rows = list(csv.DictReader(csv_text(content)))
         names = COLUMNS & {*rows[0]} if rows else ()
@@ -176,3 +188,16 @@ def _columns(path: Path) -> dict[str, FloatArray]:
             name: np.array([float(row[name] or "nan") for row in rows])
             for name in names
         }
+
+
+def _centres(path: Path) -> dict[str, FloatArray]:
+    """Return the columns of a JSON file that has the centre [x, y] of each frame by its number; null is NaN."""
+    noun = 'a JSON object with a centre for each frame, as {"0": [412, 230], "1": null}'
+    with reading(path, VideoError, noun) as content:
+        centre_of = {
+            int(frame): centre for frame, centre in json_document(content).items()
+        }
+        frames = sorted(centre_of)
+        centres = [centre_of[frame] or (math.nan, math.nan) for frame in frames]
+        x, y = np.array(centres, dtype=float).T
+    return {"frame": np.array(frames, dtype=float), "x": x, "y": y}

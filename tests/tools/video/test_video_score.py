@@ -112,6 +112,19 @@ def test_an_unreadable_track_is_an_error_with_the_reason(text, fps, words, tmp_p
     assert str(file) in str(caught.value)
 
 
+def test_a_json_file_has_the_centre_of_each_frame_by_its_number(tmp_path):
+    file = tmp_path / "track.json"
+    file.write_text('{"10": [430, 260.5], "2": [412, 230], "4": null}')
+    track = read_track(file, fps=20.0)
+    assert track.frames.tolist() == [2, 4, 10]
+    assert track.times_s == pytest.approx([0.1, 0.2, 0.5])
+    assert track.is_found.tolist() == [True, False, True]
+    assert track.points_px[-1] == pytest.approx([430.0, 260.5])
+    file.write_text('{"0": [412, 230], "1": 3}')
+    with pytest.raises(VideoError, match="not a JSON object with a centre for each"):
+        read_track(file, fps=20.0)
+
+
 @pytest.mark.parametrize(
     ("count", "fps", "words"), [(5, 30.0, "5 frames"), (12, 1.0, "1 frames per")]
 )
@@ -263,5 +276,11 @@ def test_seeds_have_the_mean_of_sound_tracks(tmp_path):
     ]
     seeds[-1] = replace(seeds[-1], is_sound=False)
     clips = [("wan22", SLIDE.id, Path(), seed) for seed in (*seeds, None)]
-    row = next(row for row in model_table(clips).rows if row["metric"] == "a [m/s^2]")
-    assert (row["law"], row["wan22"]) == (2.58, "2.5 (4 of 6)")
+    table = model_table(clips)
+    row = next(row for row in table.rows if row["metric"] == "a [m/s^2]")
+    assert (row["law"], row["wan22"], row["wan22, paper"]) == (
+        2.58,
+        "2.5 (4 of 6)",
+        0.43,
+    )
+    assert "2 of 2 values differ from those of the paper" in table.notes[1]
