@@ -27,8 +27,7 @@ from gauge_envs.scoring.exact import MotionOfTime, exact_solution
 from gauge_envs.scoring.interval import (
     distance_interval,
     distances_without,
-    jackknife_half_width,
-    mean_half_width,
+    jackknife_interval,
     ratio_interval,
     student_t,
     trials_interval,
@@ -41,7 +40,7 @@ from gauge_envs.scoring.metrics import (
     trajectory_dtw,
     trajectory_rmse,
 )
-from gauge_envs.scoring.score import Interval, Score
+from gauge_envs.scoring.score import Score
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -166,20 +165,16 @@ def _unaligned(score: Score, motion: ComparedMotion) -> Score:
     published = normalizing_baselines(motion.experiment, band)["rmse"]
     error = (published.std or 0.0) / math.sqrt(PUBLISHED_TRIALS)
     half_width = student_t(PUBLISHED_TRIALS - 1) * error / published.mean
-    interval = ratio_interval(ratio, _relative(ends, distance), half_width)
+    interval = ratio_interval(
+        ratio, np.divide(ends, distance), (half_width, half_width)
+    )
     return replace(score, primary_interval=interval)
-
-
-def _relative(ends: Interval, distance: float) -> Interval:
-    """Return an interval over the distance that it belongs to."""
-    low, high = ends
-    return low / distance, high / distance
 
 
 def _aligned(score: Score, motion: ComparedMotion) -> Score:
     """Return a score with the distance after the best time shift."""
-    band, frame_count = motion.band, len(motion.band.mean)
-    offset_s, rmse = time_offset(motion.times_s, motion.samples, band.mean)
+    band, times_s, samples = motion.band, motion.times_s, motion.samples
+    offset_s, rmse = time_offset(times_s, samples, band.mean)
     ratio = _over_trials(rmse, band)
     score = replace(
         score,
@@ -187,47 +182,35 @@ def _aligned(score: Score, motion: ComparedMotion) -> Score:
         rmse_aligned=rmse,
         rmse_aligned_normalized=ratio,
     )
-    trials = band.trials
-    if not rmse or ratio is None or trials is None or len(trials) < 2:
+    without = band.baselines_without
+    if not rmse or ratio is None or band.trials is None or without is None:
         return score
-    shifted = shifted_frames(
-        motion.times_s, motion.samples, offset_s, frame_count=frame_count
+    rates = np.gradient(samples, times_s, axis=0)
+    frames, velocity = np.split(
+        shifted_frames(
+            times_s, np.hstack([samples, rates]), offset_s, frame_count=len(band.mean)
+        ),
+        2,
+        axis=1,
     )
-    velocity = None
+    # The simulation rests before its start.
+    velocity[np.arange(len(frames)) / FRAME_RATE_HZ < offset_s] = 0.0
     # At the bound, the shift cannot follow an error of the mean.
-    if abs(offset_s) < MAX_TIME_OFFSET_S - 1e-6:
-        velocity = shifted_frames(
-            motion.times_s,
-            np.gradient(motion.samples, motion.times_s, axis=0),
-            offset_s,
-            frame_count=frame_count,
-        )
-        # The simulation rests before its start.
-        velocity[np.arange(frame_count) / FRAME_RATE_HZ < offset_s] = 0.0
-    deviation = shifted - band.mean
+    is_at_bound = abs(offset_s) >= MAX_TIME_OFFSET_S - 1e-6
+    deviation = frames - band.mean
     ends = trials_interval(
-        deviation, trials, velocity=velocity, uncertainty=band.uncertainty
+        deviation,
+        band.trials,
+        velocity=None if is_at_bound else velocity,
+        uncertainty=band.uncertainty,
     )
-    half_width, correlation = _error_of_baseline(band, deviation)
-    interval = ratio_interval(ratio, _relative(ends, rmse), half_width, correlation)
+    interval = jackknife_interval(
+        ratio,
+        np.divide(ends, rmse),
+        baselines=without,
+        distances=distances_without(deviation, band.trials),
+    )
     return replace(score, primary_interval=interval)
-
-
-def _error_of_baseline(band: Band, deviation: FloatArray) -> tuple[float, float]:
-    """Return half the 95 % interval of the logarithm of the mean distance of trials, and its correlation.
-
-    The correlation is that with the logarithm of the length of a deviation from their mean, shape [T, C].
-    """
-    assert band.trials is not None and band.trial_rmse_aligned is not None
-    if band.baselines_without is None:
-        distances = band.trial_rmse_aligned
-        return mean_half_width(distances) / float(distances.mean()), 0.0
-    of_baseline = np.log(band.baselines_without)
-    of_distance = np.log(distances_without(deviation, band.trials))
-    half_width = jackknife_half_width(of_baseline)
-    if half_width == 0.0 or np.ptp(of_distance) == 0.0:
-        return half_width, 0.0
-    return half_width, float(np.corrcoef(of_distance, of_baseline)[0, 1])
 
 
 def _over_trials(rmse_aligned: float, band: Band) -> float | None:

@@ -311,11 +311,10 @@ def rebound(
         1e-3 * values @ normal,
         gravity_m_per_s2=gravity,
         contact_m=None,
-        released_m=None,
     )
-    if bounce is None or bounce.speed_out_m_per_s == 0.0 or bounce.misfit > MAX_MISFIT:
+    if bounce is None or bounce.misfit > MAX_MISFIT:
         return None
-    return bounce.speed_out_m_per_s / bounce.speed_in_m_per_s
+    return bounce.restitution
 
 
 @lru_cache(maxsize=64)
@@ -379,13 +378,11 @@ class Ringing:
         frequency: Frequency of the damped swing, and its uncertainty [Hz].
         decay_rate: Decay rate of the amplitude, and its uncertainty [1/s].
         droop: Height of the end in the level body minus its height at rest, and its uncertainty [mm].
-        residual_mm: Root mean square of the residuals [mm].
     """
 
     frequency: tuple[float, float]
     decay_rate: tuple[float, float]
     droop: tuple[float, float]
-    residual_mm: float
 
     @property
     def damping_ratio(self) -> float:
@@ -449,5 +446,4 @@ def fit_ringing(
         frequency=(abs(frequency), errors[4]),
         decay_rate=(decay, errors[3]),
         droop=(level_mm - hang, errors[0]),
-        residual_mm=math.sqrt(2.0 * best.cost / len(times)),
     )
