@@ -240,11 +240,18 @@ def _from_exact(score: Score, motion: ComparedMotion) -> Score:
         solution_distance=distance,
         solution_motion=size,
     )
-    return score if of_trials is None else _with_cause(score, motion, solution, limit)
+    if of_trials is None:
+        return score
+    return _with_cause(score, motion, solution, limit=limit, of_trials=of_trials)
 
 
 def _with_cause(
-    score: Score, motion: ComparedMotion, solution: MotionOfTime, limit: float
+    score: Score,
+    motion: ComparedMotion,
+    solution: MotionOfTime,
+    *,
+    limit: float,
+    of_trials: float,
 ) -> Score:
     """Return a score with the ratio of the exact motion at the same times, and with the cause of the distance.
 
@@ -253,18 +260,16 @@ def _with_cause(
         motion: The motion.
         solution: The exact motion.
         limit: Smallest distance from it that matters.
+        of_trials: Mean distance of real trials.
     """
-    experiment, band = motion.experiment, motion.band
+    band = motion.band
     samples = band.project(solution(motion.times_s))
     is_aligned = score.primary == "rmse_aligned"
     if is_aligned:
         _, distance = time_offset(motion.times_s, samples, band.mean)
-        ratio = _over_trials(distance, band)
     else:
         frames = samples[frame_index(motion.times_s, len(motion.frames))]
         distance = trajectory_rmse(frames, band.mean)
-        published = normalizing_baselines(experiment, band).get("rmse")
-        ratio = _over_published(distance, published)
     from_exact = distance_from_exact(
         solution,
         band,
@@ -272,11 +277,10 @@ def _with_cause(
         is_aligned=is_aligned,
         time_offset_s=score.time_offset_s or 0.0,
     )
-    of_engine = score.distance
-    assert of_engine is not None and score.real_limit is not None, "as documented"
+    assert score.distance is not None and score.real_limit is not None, "as documented"
     cause = cause_of(
-        is_real=of_engine <= score.real_limit,
+        is_real=score.distance <= score.real_limit,
         is_exact_real=distance <= score.real_limit,
         is_near_exact=from_exact <= limit,
     )
-    return replace(score, exact=ratio, cause=cause)
+    return replace(score, exact=distance / of_trials, cause=cause)

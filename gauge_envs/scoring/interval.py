@@ -221,14 +221,13 @@ def trials_interval(
     distance = length_of(vector)
     along = rows @ vector / max(distance, 1e-300)
     # Correlated consecutive trials count as fewer: AR(1), with the bias 1/N of its correlation.
-    series = along[:count]
+    series = along[:count].copy()
     square = max(float(series @ series), 1e-300)
     lag = float(series[1:] @ series[:-1]) / square + 1.0 / count
     lag = min(max(lag, 0.0), 1.0 - 1.0 / count)
-    widening = np.ones(len(rows))
-    widening[:count] = math.sqrt((1.0 + lag) / (1.0 - lag))
-    rows *= widening[:, None]
-    along *= widening
+    widening = math.sqrt((1.0 + lag) / (1.0 - lag))
+    rows[:count] *= widening
+    along[:count] *= widening
 
     products = rows @ rows.T
     variance = float(np.trace(products))

@@ -13,6 +13,7 @@ import argparse
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 
@@ -27,6 +28,7 @@ from gauge_envs.scoring.interval import (
     trials_interval,
 )
 from gauge_envs.scoring.metrics import MAX_TIME_OFFSET_S, MIN_OVERLAP, shifted_frames
+from gauge_envs.tools.compare.statistics import Deviations, difference_interval
 
 REAL = (
     "SlopeSlider-2-wood",
@@ -193,22 +195,27 @@ class World:
         equal = np.full((len(self.motions), len(self.trials)), 1.0 / len(self.trials))
         return aligned(np.arange(len(self.motions)), equal)
 
+    def aligned_frames(self) -> Iterator[tuple[FloatArray, FloatArray | None]]:
+        """Yield each motion at the frames after its time shift, and its velocity, None for a shift at the bound."""
+        frame_count = self.trials.shape[1]
+        times_s = np.arange(self.motions.shape[1]) / FRAME_RATE_HZ / SAMPLES_PER_FRAME
+        for motion, shift_s in zip(self.motions, self.distances()[1], strict=True):
+            both = np.hstack([motion, np.gradient(motion, times_s, axis=0)])
+            shifted = shifted_frames(times_s, both, shift_s, frame_count=frame_count)
+            frames, velocity = np.split(shifted, 2, axis=1)
+            velocity[np.arange(frame_count) / FRAME_RATE_HZ < shift_s] = 0.0
+            is_inside = abs(shift_s) < MAX_TIME_OFFSET_S - 1e-6
+            yield frames, velocity if is_inside else None
+
     def intervals(self) -> Iterator[tuple[tuple[float, float], tuple[float, float]]]:
         """Yield the interval of the distance and that of the normalized distance of each motion."""
         mean = self.trials.mean(axis=0)
-        times_s = np.arange(self.motions.shape[1]) / FRAME_RATE_HZ / SAMPLES_PER_FRAME
-        for motion, distance, shift_s in zip(
-            self.motions, *self.distances(), strict=True
+        distances, _ = self.distances()
+        for (frames, velocity), distance in zip(
+            self.aligned_frames(), distances, strict=True
         ):
-            both = np.hstack([motion, np.gradient(motion, times_s, axis=0)])
-            shifted = shifted_frames(times_s, both, shift_s, frame_count=len(mean))
-            frames, velocity = np.split(shifted, 2, axis=1)
-            velocity[np.arange(len(mean)) / FRAME_RATE_HZ < shift_s] = 0.0
-            is_inside = abs(shift_s) < MAX_TIME_OFFSET_S - 1e-6
             deviation = frames - mean
-            interval = trials_interval(
-                deviation, self.trials, velocity=velocity if is_inside else None
-            )
+            interval = trials_interval(deviation, self.trials, velocity=velocity)
             yield (
                 interval,
                 jackknife_interval(
@@ -255,6 +262,33 @@ class Population:
             held += (truth >= ends[..., 0].T) & (truth <= ends[..., 1].T)
         return truth, held / count
 
+    def differences(self, count: int, seed: int) -> FloatArray:
+        """Return how often the interval of a difference, as in `gauge compare`, holds that of two neighbours."""
+        truth = np.diff(World(self.mean[None], self.motions).distances()[0])
+        random = np.random.default_rng([seed, 3])
+        held = np.zeros(len(truth))
+        for _ in range(count):
+            trials = self.draw(random)
+            errors = (trials - trials.mean(axis=0)) / np.sqrt(trials.shape[1])
+            errors /= np.sqrt(len(trials) * (len(trials) - 1.0))
+            frames = World(trials, self.motions).aligned_frames()
+            sides = [
+                Deviations(
+                    seeds=(0,),
+                    vectors=_scaled(motion - trials.mean(axis=0)),
+                    trials=errors.reshape(len(trials), -1),
+                    shared=np.zeros((0, errors[0].size)),
+                    uncertainty=0.0,
+                )
+                for motion, _ in frames
+            ]
+            ends = [difference_interval(b, a) for a, b in pairwise(sides)]
+            held += [
+                low <= value <= high
+                for (low, high), value in zip(ends, truth, strict=True)
+            ]
+        return held / count
+
     def prediction(self, count: int, seed: int) -> float:
         """Return how often one more trial is within the limit of the others."""
         random = np.random.default_rng([seed, 2])
@@ -267,6 +301,12 @@ class Population:
             distance = more(np.array([0]), equal)[0][0]
             within += distance <= prediction_limit(world.trial_distances)
         return within / count
+
+
+def _scaled(deviation: FloatArray) -> FloatArray:
+    """Return a deviation as a row whose length is the distance; frames after the motion do not count."""
+    seen = np.isfinite(deviation).all(axis=1)
+    return np.nan_to_num(deviation).reshape(1, -1) / np.sqrt(seen.sum())
 
 
 def resampled(name: str) -> Population:
@@ -352,6 +392,8 @@ def main() -> None:
             truth[1], held[1], held[0], strict=True
         ):
             print(f"{population.name}: {ratio:.2f}; {of_ratio:.3f}, {of_distance:.3f}")
+        differences = population.differences(arguments.worlds, arguments.seed)
+        print(f"{population.name}: differences of neighbours {differences}")
         limit = population.prediction(arguments.worlds, arguments.seed)
         print(
             f"{population.name}: one more trial within the limit {limit:.3f}",
