@@ -140,9 +140,7 @@ def _from_solution(score: Score, motion: ComparedMotion) -> Score:
 def _from_trials(score: Score, motion: ComparedMotion) -> Score:
     """Return a score with the distance from real trials, and whether the motion is like theirs."""
     band, experiment = motion.band, motion.experiment
-    # The start of a driven motion is known.
-    is_free = experiment.trial is None and not experiment.scene.drivers
-    is_aligned = band.has_release and is_free
+    is_aligned = has_unknown_release(experiment, band)
     with_distance = _aligned if is_aligned else _unaligned
     score = with_distance(score, motion)
     assert score.distance is not None, "the RMSE is a distance"
@@ -150,6 +148,12 @@ def _from_trials(score: Score, motion: ComparedMotion) -> Score:
     of_motion = is_like_trials(band, score.distance, limit)
     answer = united([of_motion, score.like_reality])
     return replace(score, real_limit=limit, like_reality=answer)
+
+
+def has_unknown_release(experiment: Experiment, band: Band) -> bool:
+    """Return whether scores ignore a time shift; a replayed trial and a driven motion start at a known time."""
+    is_free = experiment.trial is None and not experiment.scene.drivers
+    return band.has_release and is_free
 
 
 def _unaligned(score: Score, motion: ComparedMotion) -> Score:

@@ -10,6 +10,7 @@ from gauge_envs.references.band import Band
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import SAMPLES_PER_FRAME
 from gauge_envs.scoring.answers import normalizing_baselines
+from gauge_envs.scoring.distances import has_unknown_release
 from gauge_envs.scoring.metrics import time_offset
 
 
@@ -45,7 +46,7 @@ def score_worlds(
         axis=(1, 2)
     )
     scores = {"rmse": np.sqrt(squares / np.count_nonzero(band.known))}
-    if band.has_release and experiment.trial is None:
+    if has_unknown_release(experiment, band):
         aligned = np.full((len(values), 2), np.nan)
         for number in np.flatnonzero(np.isfinite(scores["rmse"])):
             aligned[number] = time_offset(times_s, projected[number], band.mean)
