@@ -23,7 +23,7 @@ from gauge_envs.scoring.answers import (
 )
 from gauge_envs.scoring.cause import cause_of, distance_from_exact
 from gauge_envs.scoring.events import PUBLISHED_TRIALS
-from gauge_envs.scoring.exact import MotionOfTime, exact_solution
+from gauge_envs.scoring.exact import exact_solution
 from gauge_envs.scoring.interval import (
     distance_interval,
     distances_without,
@@ -34,7 +34,6 @@ from gauge_envs.scoring.interval import (
 )
 from gauge_envs.scoring.metrics import (
     MAX_TIME_OFFSET_S,
-    frame_index,
     shifted_frames,
     time_offset,
     trajectory_dtw,
@@ -230,10 +229,10 @@ def _from_exact(score: Score, motion: ComparedMotion) -> Score:
     solution = exact_solution(motion.experiment)
     if solution is None:
         return score
-    band, times_s = motion.band, np.arange(len(motion.frames)) / FRAME_RATE_HZ
-    exact = band.project(solution(times_s))
+    band, frames = motion.band, motion.frames
+    exact = band.project(solution(np.arange(len(frames)) / FRAME_RATE_HZ))
     size = trajectory_rmse(exact, np.broadcast_to(exact[:1], exact.shape))
-    distance = trajectory_rmse(motion.frames, exact)
+    distance = trajectory_rmse(frames, exact)
     of_trials = None
     if score.distance and score.primary_normalized:
         of_trials = score.distance / score.primary_normalized
@@ -246,45 +245,16 @@ def _from_exact(score: Score, motion: ComparedMotion) -> Score:
     )
     if of_trials is None:
         return score
-    return _with_cause(score, motion, solution, limit=limit, of_trials=of_trials)
-
-
-def _with_cause(
-    score: Score,
-    motion: ComparedMotion,
-    solution: MotionOfTime,
-    *,
-    limit: float,
-    of_trials: float,
-) -> Score:
-    """Return a score with the ratio of the exact motion at the same times, and with the cause of the distance.
-
-    Args:
-        score: A score with a normalized distance from real trials.
-        motion: The motion.
-        solution: The exact motion.
-        limit: Smallest distance from it that matters.
-        of_trials: Mean distance of real trials.
-    """
-    band = motion.band
-    samples = band.project(solution(motion.times_s))
-    is_aligned = score.primary == "rmse_aligned"
-    if is_aligned:
-        _, distance = time_offset(motion.times_s, samples, band.mean)
-    else:
-        frames = samples[frame_index(motion.times_s, len(motion.frames))]
-        distance = trajectory_rmse(frames, band.mean)
-    from_exact = distance_from_exact(
-        solution,
-        band,
-        motion.frames,
-        is_aligned=is_aligned,
-        time_offset_s=score.time_offset_s or 0.0,
-    )
+    from_trials = trajectory_rmse(exact, band.mean)
+    if score.time_offset_s is not None:
+        distance = distance_from_exact(solution, band, frames, score.time_offset_s)
+        # The same times as those of the motion, between which both shifts interpolate.
+        samples = band.project(solution(motion.times_s))
+        _, from_trials = time_offset(motion.times_s, samples, band.mean)
     assert score.distance is not None and score.real_limit is not None, "as documented"
     cause = cause_of(
         is_real=score.distance <= score.real_limit,
-        is_exact_real=distance <= score.real_limit,
-        is_near_exact=from_exact <= limit,
+        is_exact_real=from_trials <= score.real_limit,
+        is_near_exact=distance <= limit,
     )
-    return replace(score, exact=distance / of_trials, cause=cause)
+    return replace(score, exact=from_trials / of_trials, cause=cause)
