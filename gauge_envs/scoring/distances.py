@@ -9,10 +9,10 @@ import numpy as np
 
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.references.band import Band
-from gauge_envs.references.published import Baseline
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.scoring.answers import (
+    baseline_means,
     is_like_trials,
     mattering_distance,
     normalizing_baselines,
@@ -103,20 +103,20 @@ def _with_paper_distances(score: Score, motion: ComparedMotion) -> Score:
     rmse = trajectory_rmse(frames, band.mean)
     # A recording may end before the episode. DTW would warp frames without a mean onto its last frame.
     dtw = trajectory_dtw(frames[band.known], band.mean[band.known])
-    published = normalizing_baselines(motion.experiment, band)
+    means = baseline_means(motion.experiment, band)
     return replace(
         score,
         rmse=rmse,
-        rmse_normalized=_over_published(rmse, published.get("rmse")),
+        rmse_normalized=_over(rmse, means.get("rmse")),
         dtw=dtw,
-        dtw_normalized=_over_published(dtw, published.get("dtw")),
+        dtw_normalized=_over(dtw, means.get("dtw")),
         compared_frames=int(band.compared.known.sum()),
     )
 
 
-def _over_published(distance: float, published: Baseline | None) -> float | None:
-    """Return a distance over the published mean of real trials; None without one."""
-    return None if published is None else distance / published.mean
+def _over(distance: float, mean: float | None) -> float | None:
+    """Return a distance over the mean distance of real trials; None without one."""
+    return None if mean is None else distance / mean
 
 
 def _from_solution(score: Score, motion: ComparedMotion) -> Score:
@@ -178,7 +178,7 @@ def _aligned(score: Score, motion: ComparedMotion) -> Score:
     """Return a score with the distance after the best time shift."""
     band, times_s, samples = motion.band, motion.times_s, motion.samples
     offset_s, rmse = time_offset(times_s, samples, band.mean)
-    ratio = _over_trials(rmse, band)
+    ratio = _over(rmse, baseline_means(motion.experiment, band).get("rmse_aligned"))
     score = replace(
         score,
         time_offset_s=offset_s,
@@ -214,14 +214,6 @@ def _aligned(score: Score, motion: ComparedMotion) -> Score:
         distances=distances_without(deviation, band.trials),
     )
     return replace(score, primary_interval=interval)
-
-
-def _over_trials(rmse_aligned: float, band: Band) -> float | None:
-    """Return an aligned distance over the mean of the same distance of real trials; None without a mean."""
-    if band.trial_rmse_aligned is None:
-        return None
-    mean = float(band.trial_rmse_aligned.mean())
-    return rmse_aligned / mean if 0.0 < mean < math.inf else None
 
 
 def _from_exact(score: Score, motion: ComparedMotion) -> Score:
