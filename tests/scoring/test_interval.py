@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import binom, skew, t as student
 
+from gauge_envs import load_experiment, reference_band
 from gauge_envs.scoring.interval import (
     distance_interval,
     distances_without,
@@ -15,7 +16,7 @@ from gauge_envs.scoring.interval import (
     student_t,
     trials_interval,
 )
-from studies.coverage.intervals import REAL, UNSEEN_SHAPES, own, resampled
+from studies.coverage.intervals import REAL, UNSEEN_SHAPES, World, own, resampled
 
 TIMES_S = np.arange(19) / 30.0
 
@@ -92,6 +93,13 @@ def test_intervals_of_a_normalized_distance_hold_the_ratio_of_the_true_ones(
         inside += low <= truth / baseline <= high
     assert inside >= binom.ppf(1e-4, realities, 0.93)
     assert factor < 10.0 or inside <= binom.ppf(1.0 - 1e-4, realities, 0.98)
+
+
+def test_the_worlds_of_the_study_have_the_distances_of_the_score():
+    band = reference_band(load_experiment("SlopeSlider-2-wood"))
+    world = World(band.trials, resampled("SlopeSlider-2-wood").motions)
+    assert world.trial_distances == pytest.approx(band.trial_rmse_aligned, abs=1e-6)
+    assert world.baselines_without == pytest.approx(band.baselines_without, abs=1e-6)
 
 
 @pytest.mark.slow
