@@ -22,9 +22,12 @@ from gauge_envs.scene.geometry import FloatArray, IntArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLES_PER_FRAME
 from gauge_envs.scoring.exact import exact_motion
 from gauge_envs.scoring.interval import (
+    COVERAGE_FACTOR,
     distances_without,
     jackknife_interval,
     prediction_limit,
+    student_limit,
+    student_t,
     trials_interval,
 )
 from gauge_envs.scoring.metrics import MAX_TIME_OFFSET_S, MIN_OVERLAP, shifted_frames
@@ -368,6 +371,21 @@ def own(name: str, shape: Draw, count: int) -> Population:
     return Population(f"{name}, {count} trials", draw, mean, motions[..., None])
 
 
+def of_numbers(shape: Draw, count: int, worlds: int, seed: int) -> FloatArray:
+    """Return how often Student's interval of a mean, 1.96 u of it, and Student's limit of one more number hold."""
+    random = np.random.default_rng([seed, 4])
+    drawn = np.array([shape(random, count + 1) for _ in range(worlds)])
+    known, more = drawn[:, :-1], drawn[:, -1]
+    mean, scatter = known.mean(axis=1), known.std(axis=1, ddof=1)
+    u = scatter / np.sqrt(count)
+    inside = [
+        np.abs(mean) <= student_t(count - 1) * u,
+        np.abs(mean) <= COVERAGE_FACTOR * u,
+        np.abs(more - mean) <= student_limit(count) * scatter,
+    ]
+    return np.mean(inside, axis=1)
+
+
 def populations(unseen: bool) -> Iterator[Population]:
     """Yield the sources of worlds."""
     yield from map(resampled, REAL)
@@ -383,6 +401,10 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=2)
     parser.add_argument("--unseen", action="store_true")
     arguments = parser.parse_args()
+    for name, shape in (UNSEEN_SHAPES if arguments.unseen else SHAPES).items():
+        for count in (5, 10, 20):
+            shares = of_numbers(shape, count, 10 * arguments.worlds, arguments.seed)
+            print(f"{count} {name} numbers: mean, 1.96 u, one more {shares}")
     print(
         "worlds: true normalized distance; share of intervals of it, and of the distance, that hold it"
     )
