@@ -139,14 +139,14 @@ def estimates(
     Returns:
         `friction`, `restitution`, or `frequency`, `decay_rate` and `droop`, by name; empty for other motions.
     """
-    observable, score = experiment.score.observable, experiment.score
-    if experiment.scene.drivers:
+    scene, score = experiment.scene, experiment.score
+    if band is None or scene.drivers:
         return {}
-    if observable is Observable.MARKER_POSITION and score.period_axis is not None:
-        return {} if band is None else _ringing(band, times_s, values)
-    if observable is not Observable.POSITION or len(experiment.recorded) != 1:
-        return {}
-    if band is None or experiment.scene.joints:
+    is_of_markers = score.observable is Observable.MARKER_POSITION
+    if is_of_markers and score.period_axis is not None:
+        return _ringing(band, times_s, values)
+    is_position = score.observable is Observable.POSITION
+    if not is_position or scene.joints or len(experiment.recorded) != 1:
         return {}
     last_s = float(np.flatnonzero(band.known)[-1]) / FRAME_RATE_HZ
     seen = times_s <= last_s + 1e-6

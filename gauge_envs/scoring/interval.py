@@ -104,18 +104,16 @@ def jackknife_interval(
     """
     count = len(baselines)
     # Without a trial, a mean is smaller by the error that the trial adds.
-    errors = np.log(distances).mean() - np.log(distances), -np.log(baselines)
-    of_mean = errors[1] - errors[1].mean()
+    errors = -np.log([distances, baselines])
+    of_distance, of_mean = errors - errors.mean(axis=1, keepdims=True)
     squares = np.square(of_mean)
-    total = float(squares.sum())
-    if total == 0.0:
-        return ratio_interval(ratio, relative, (0.0, 0.0))
+    total = max(float(squares.sum()), 1e-30)
     kurtosis = count * float(np.square(squares).sum()) / total**2 - 3.0
     freedom = 2.0 / (2.0 / (count - 1) + max(kurtosis, 0.0) / count)
     uncertainty = math.sqrt((count - 1) / count * total)
     below, above = (uncertainty * t for t in skewed_t(of_mean, student_t(freedom)))
-    spread = math.sqrt(total * float(np.square(errors[0]).sum()))
-    correlation = float(errors[0] @ of_mean) / spread if spread else 0.0
+    spread = math.sqrt(total * max(float(of_distance @ of_distance), 1e-30))
+    correlation = float(of_distance @ of_mean) / spread
     return ratio_interval(ratio, relative, (below, above), correlation)
 
 
