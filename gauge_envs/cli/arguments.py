@@ -136,7 +136,7 @@ Parameters = Annotated[
     list[str] | None,
     option(
         SCENE,
-        "Constant of the scene, as cube.friction=0.3; or the name of a set, as effective.",
+        "Constant of the scene, as cube.friction=0.3; or the name of a set, as measured.",
         "--parameter",
         "-p",
         metavar=ASSIGNED,

@@ -263,9 +263,8 @@ class Band:
         """Standard uncertainty u of the mean in the norm of the distance.
 
         For `trials` and `published` it is the scatter over the root of the number of trials. For `recording` it is the
-        scatter and the
-        measurement, and for `numerical` the discretization. For `analytic` it is the uncertainty of the closed form; an
-        exact form has the resolution of motion capture, 1 mm in each coordinate.
+        scatter and the measurement, and for `numerical` the discretization. For `analytic` it is what the closed form
+        leaves out, 0 for an exact one.
         """
         if self.given_uncertainty is not None:
             return self.given_uncertainty

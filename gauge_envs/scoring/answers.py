@@ -125,3 +125,12 @@ def normalizing_baselines(experiment: Experiment, band: Band) -> dict[str, Basel
         for metric, row in experiment.baselines.items()
         if row.mean and not row.disputed
     }
+
+
+def baseline_means(experiment: Experiment, band: Band) -> dict[str, float]:
+    """Return the mean distances of real trials by which `rmse`, `dtw` and `rmse_aligned` are divided, where known."""
+    published = normalizing_baselines(experiment, band)
+    means = {metric: row.mean for metric, row in published.items()}
+    if band.trial_rmse_aligned is not None and band.trial_rmse_aligned.any():
+        means["rmse_aligned"] = float(band.trial_rmse_aligned.mean())
+    return means

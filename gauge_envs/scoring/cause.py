@@ -47,14 +47,9 @@ def cause_of(
 
 
 def distance_from_exact(
-    solution: MotionOfTime,
-    band: Band,
-    frames: FloatArray,
-    *,
-    is_aligned: bool,
-    time_offset_s: float = 0.0,
+    solution: MotionOfTime, band: Band, frames: FloatArray, time_offset_s: float
 ) -> float:
-    """Return the RMSE of a motion to the exact motion, in the coordinates and the unit of its reference.
+    """Return the RMSE of a motion to the exact motion after the best time shift, in the unit of the reference.
 
     The exact motion is shifted, not the other one: its law holds at any time, so nothing is interpolated.
 
@@ -62,7 +57,6 @@ def distance_from_exact(
         solution: The exact motion, see `exact_solution`.
         band: The reference.
         frames: The motion at the 30 Hz frames in the coordinates of the reference, shape [T, C].
-        is_aligned: Whether the score ignores a time shift.
         time_offset_s: Time shift of the motion to the trials [s]. Frames that this shift moves beyond the end of the
             trials do not count, as in the score.
     """
@@ -76,6 +70,4 @@ def distance_from_exact(
         deviation = frames - exact.reshape(*queries_s.shape, -1)
         return np.asarray(np.sqrt(np.square(deviation).sum(axis=-1).mean(axis=-1)))
 
-    if not is_aligned:
-        return float(shifted_rmse(np.zeros(())))
     return best_offset(shifted_rmse)[1]

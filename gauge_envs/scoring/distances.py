@@ -9,10 +9,10 @@ import numpy as np
 
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.references.band import Band
-from gauge_envs.references.published import Baseline
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.scoring.answers import (
+    baseline_means,
     is_like_trials,
     mattering_distance,
     normalizing_baselines,
@@ -23,25 +23,23 @@ from gauge_envs.scoring.answers import (
 )
 from gauge_envs.scoring.cause import cause_of, distance_from_exact
 from gauge_envs.scoring.events import PUBLISHED_TRIALS
-from gauge_envs.scoring.exact import MotionOfTime, exact_solution
+from gauge_envs.scoring.exact import exact_solution
 from gauge_envs.scoring.interval import (
     distance_interval,
     distances_without,
-    jackknife_half_width,
-    mean_half_width,
+    jackknife_interval,
     ratio_interval,
     student_t,
     trials_interval,
 )
 from gauge_envs.scoring.metrics import (
     MAX_TIME_OFFSET_S,
-    frame_index,
     shifted_frames,
     time_offset,
     trajectory_dtw,
     trajectory_rmse,
 )
-from gauge_envs.scoring.score import Interval, Score
+from gauge_envs.scoring.score import Score
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -105,20 +103,20 @@ def _with_paper_distances(score: Score, motion: ComparedMotion) -> Score:
     rmse = trajectory_rmse(frames, band.mean)
     # A recording may end before the episode. DTW would warp frames without a mean onto its last frame.
     dtw = trajectory_dtw(frames[band.known], band.mean[band.known])
-    published = normalizing_baselines(motion.experiment, band)
+    means = baseline_means(motion.experiment, band)
     return replace(
         score,
         rmse=rmse,
-        rmse_normalized=_over_published(rmse, published.get("rmse")),
+        rmse_normalized=_over(rmse, means.get("rmse")),
         dtw=dtw,
-        dtw_normalized=_over_published(dtw, published.get("dtw")),
+        dtw_normalized=_over(dtw, means.get("dtw")),
         compared_frames=int(band.compared.known.sum()),
     )
 
 
-def _over_published(distance: float, published: Baseline | None) -> float | None:
-    """Return a distance over the published mean of real trials; None without one."""
-    return None if published is None else distance / published.mean
+def _over(distance: float, mean: float | None) -> float | None:
+    """Return a distance over the mean distance of real trials; None without one."""
+    return None if mean is None else distance / mean
 
 
 def _from_solution(score: Score, motion: ComparedMotion) -> Score:
@@ -141,9 +139,7 @@ def _from_solution(score: Score, motion: ComparedMotion) -> Score:
 def _from_trials(score: Score, motion: ComparedMotion) -> Score:
     """Return a score with the distance from real trials, and whether the motion is like theirs."""
     band, experiment = motion.band, motion.experiment
-    # The start of a driven motion is known.
-    is_free = experiment.trial is None and not experiment.scene.drivers
-    is_aligned = band.has_release and is_free
+    is_aligned = has_unknown_release(experiment, band)
     with_distance = _aligned if is_aligned else _unaligned
     score = with_distance(score, motion)
     assert score.distance is not None, "the RMSE is a distance"
@@ -151,6 +147,12 @@ def _from_trials(score: Score, motion: ComparedMotion) -> Score:
     of_motion = is_like_trials(band, score.distance, limit)
     answer = united([of_motion, score.like_reality])
     return replace(score, real_limit=limit, like_reality=answer)
+
+
+def has_unknown_release(experiment: Experiment, band: Band) -> bool:
+    """Return whether scores ignore a time shift; a replayed trial and a driven motion start at a known time."""
+    is_free = experiment.trial is None and not experiment.scene.drivers
+    return band.has_release and is_free
 
 
 def _unaligned(score: Score, motion: ComparedMotion) -> Score:
@@ -166,76 +168,52 @@ def _unaligned(score: Score, motion: ComparedMotion) -> Score:
     published = normalizing_baselines(motion.experiment, band)["rmse"]
     error = (published.std or 0.0) / math.sqrt(PUBLISHED_TRIALS)
     half_width = student_t(PUBLISHED_TRIALS - 1) * error / published.mean
-    interval = ratio_interval(ratio, _relative(ends, distance), half_width)
+    interval = ratio_interval(
+        ratio, np.divide(ends, distance), (half_width, half_width)
+    )
     return replace(score, primary_interval=interval)
-
-
-def _relative(ends: Interval, distance: float) -> Interval:
-    """Return an interval over the distance that it belongs to."""
-    low, high = ends
-    return low / distance, high / distance
 
 
 def _aligned(score: Score, motion: ComparedMotion) -> Score:
     """Return a score with the distance after the best time shift."""
-    band, frame_count = motion.band, len(motion.band.mean)
-    offset_s, rmse = time_offset(motion.times_s, motion.samples, band.mean)
-    ratio = _over_trials(rmse, band)
+    band, times_s, samples = motion.band, motion.times_s, motion.samples
+    offset_s, rmse = time_offset(times_s, samples, band.mean)
+    ratio = _over(rmse, baseline_means(motion.experiment, band).get("rmse_aligned"))
     score = replace(
         score,
         time_offset_s=offset_s,
         rmse_aligned=rmse,
         rmse_aligned_normalized=ratio,
     )
-    trials = band.trials
-    if not rmse or ratio is None or trials is None or len(trials) < 2:
+    without = band.baselines_without
+    if not rmse or ratio is None or band.trials is None or without is None:
         return score
-    shifted = shifted_frames(
-        motion.times_s, motion.samples, offset_s, frame_count=frame_count
+    rates = np.gradient(samples, times_s, axis=0)
+    frames, velocity = np.split(
+        shifted_frames(
+            times_s, np.hstack([samples, rates]), offset_s, frame_count=len(band.mean)
+        ),
+        2,
+        axis=1,
     )
-    velocity = None
+    # The simulation rests before its start.
+    velocity[np.arange(len(frames)) / FRAME_RATE_HZ < offset_s] = 0.0
     # At the bound, the shift cannot follow an error of the mean.
-    if abs(offset_s) < MAX_TIME_OFFSET_S - 1e-6:
-        velocity = shifted_frames(
-            motion.times_s,
-            np.gradient(motion.samples, motion.times_s, axis=0),
-            offset_s,
-            frame_count=frame_count,
-        )
-        # The simulation rests before its start.
-        velocity[np.arange(frame_count) / FRAME_RATE_HZ < offset_s] = 0.0
-    deviation = shifted - band.mean
+    is_at_bound = abs(offset_s) >= MAX_TIME_OFFSET_S - 1e-6
+    deviation = frames - band.mean
     ends = trials_interval(
-        deviation, trials, velocity=velocity, uncertainty=band.uncertainty
+        deviation,
+        band.trials,
+        velocity=None if is_at_bound else velocity,
+        uncertainty=band.uncertainty,
     )
-    half_width, correlation = _error_of_baseline(band, deviation)
-    interval = ratio_interval(ratio, _relative(ends, rmse), half_width, correlation)
+    interval = jackknife_interval(
+        ratio,
+        np.divide(ends, rmse),
+        baselines=without,
+        distances=distances_without(deviation, band.trials),
+    )
     return replace(score, primary_interval=interval)
-
-
-def _error_of_baseline(band: Band, deviation: FloatArray) -> tuple[float, float]:
-    """Return half the 95 % interval of the logarithm of the mean distance of trials, and its correlation.
-
-    The correlation is that with the logarithm of the length of a deviation from their mean, shape [T, C].
-    """
-    assert band.trials is not None and band.trial_rmse_aligned is not None
-    if band.baselines_without is None:
-        distances = band.trial_rmse_aligned
-        return mean_half_width(distances) / float(distances.mean()), 0.0
-    of_baseline = np.log(band.baselines_without)
-    of_distance = np.log(distances_without(deviation, band.trials))
-    half_width = jackknife_half_width(of_baseline)
-    if half_width == 0.0 or np.ptp(of_distance) == 0.0:
-        return half_width, 0.0
-    return half_width, float(np.corrcoef(of_distance, of_baseline)[0, 1])
-
-
-def _over_trials(rmse_aligned: float, band: Band) -> float | None:
-    """Return an aligned distance over the mean of the same distance of real trials; None without a mean."""
-    if band.trial_rmse_aligned is None:
-        return None
-    mean = float(band.trial_rmse_aligned.mean())
-    return rmse_aligned / mean if 0.0 < mean < math.inf else None
 
 
 def _from_exact(score: Score, motion: ComparedMotion) -> Score:
@@ -243,10 +221,10 @@ def _from_exact(score: Score, motion: ComparedMotion) -> Score:
     solution = exact_solution(motion.experiment)
     if solution is None:
         return score
-    band, times_s = motion.band, np.arange(len(motion.frames)) / FRAME_RATE_HZ
-    exact = band.project(solution(times_s))
+    band, frames = motion.band, motion.frames
+    exact = band.project(solution(np.arange(len(frames)) / FRAME_RATE_HZ))
     size = trajectory_rmse(exact, np.broadcast_to(exact[:1], exact.shape))
-    distance = trajectory_rmse(motion.frames, exact)
+    distance = trajectory_rmse(frames, exact)
     of_trials = None
     if score.distance and score.primary_normalized:
         of_trials = score.distance / score.primary_normalized
@@ -257,43 +235,18 @@ def _from_exact(score: Score, motion: ComparedMotion) -> Score:
         solution_distance=distance,
         solution_motion=size,
     )
-    return score if of_trials is None else _with_cause(score, motion, solution, limit)
-
-
-def _with_cause(
-    score: Score, motion: ComparedMotion, solution: MotionOfTime, limit: float
-) -> Score:
-    """Return a score with the ratio of the exact motion at the same times, and with the cause of the distance.
-
-    Args:
-        score: A score with a normalized distance from real trials.
-        motion: The motion.
-        solution: The exact motion.
-        limit: Smallest distance from it that matters.
-    """
-    experiment, band = motion.experiment, motion.band
-    samples = band.project(solution(motion.times_s))
-    is_aligned = score.primary == "rmse_aligned"
-    if is_aligned:
-        _, distance = time_offset(motion.times_s, samples, band.mean)
-        ratio = _over_trials(distance, band)
-    else:
-        frames = samples[frame_index(motion.times_s, len(motion.frames))]
-        distance = trajectory_rmse(frames, band.mean)
-        published = normalizing_baselines(experiment, band).get("rmse")
-        ratio = _over_published(distance, published)
-    from_exact = distance_from_exact(
-        solution,
-        band,
-        motion.frames,
-        is_aligned=is_aligned,
-        time_offset_s=score.time_offset_s or 0.0,
-    )
-    of_engine = score.distance
-    assert of_engine is not None and score.real_limit is not None, "as documented"
+    if of_trials is None:
+        return score
+    from_trials = trajectory_rmse(exact, band.mean)
+    if score.time_offset_s is not None:
+        distance = distance_from_exact(solution, band, frames, score.time_offset_s)
+        # The same times as those of the motion, between which both shifts interpolate.
+        samples = band.project(solution(motion.times_s))
+        _, from_trials = time_offset(motion.times_s, samples, band.mean)
+    assert score.distance is not None and score.real_limit is not None, "as documented"
     cause = cause_of(
-        is_real=of_engine <= score.real_limit,
-        is_exact_real=distance <= score.real_limit,
-        is_near_exact=from_exact <= limit,
+        is_real=score.distance <= score.real_limit,
+        is_exact_real=from_trials <= score.real_limit,
+        is_near_exact=distance <= limit,
     )
-    return replace(score, exact=ratio, cause=cause)
+    return replace(score, exact=from_trials / of_trials, cause=cause)

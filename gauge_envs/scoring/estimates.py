@@ -139,14 +139,14 @@ def estimates(
     Returns:
         `friction`, `restitution`, or `frequency`, `decay_rate` and `droop`, by name; empty for other motions.
     """
-    observable, score = experiment.score.observable, experiment.score
-    if experiment.scene.drivers:
+    scene, score = experiment.scene, experiment.score
+    if band is None or scene.drivers:
         return {}
-    if observable is Observable.MARKER_POSITION and score.period_axis is not None:
-        return {} if band is None else _ringing(band, times_s, values)
-    if observable is not Observable.POSITION or len(experiment.recorded) != 1:
-        return {}
-    if band is None or experiment.scene.joints:
+    is_of_markers = score.observable is Observable.MARKER_POSITION
+    if is_of_markers and score.period_axis is not None:
+        return _ringing(band, times_s, values)
+    is_position = score.observable is Observable.POSITION
+    if not is_position or scene.joints or len(experiment.recorded) != 1:
         return {}
     last_s = float(np.flatnonzero(band.known)[-1]) / FRAME_RATE_HZ
     seen = times_s <= last_s + 1e-6
@@ -219,32 +219,32 @@ def _of_trials(values: list[float]) -> tuple[float, float] | None:
 def _friction(
     experiment: Experiment, band: Band, times_s: FloatArray, values: FloatArray
 ) -> dict[str, ComparedQuantity]:
-    """Return the friction of a slide: mu = (g sin - a) / (g cos), with the slope of the path."""
+    """Return the friction of a slide, with the slope of its path."""
     path = values[-1] - values[0]
     direction = path / np.linalg.norm(path)
     if not MIN_INCLINE <= -direction[2] <= MAX_INCLINE:
         return {}
     gravity = experiment.scene.gravity_m_per_s2
-    path_m = 1e-3 * (values - values[0]) @ direction
-    acceleration, error = _acceleration(times_s, path_m)
+    path_mm = (values - values[0]) @ direction
     slope_rad = math.asin(-float(direction[2]))
-    friction = slide_friction(acceleration, slope_rad, gravity_m_per_s2=gravity)
-    uncertainty = error / (gravity * math.cos(slope_rad))
-    return {"friction": _measured(_real_friction(band), friction, uncertainty, "1")}
+    friction, error = _friction_of(times_s, path_mm, slope_rad, gravity)
+    return {"friction": _measured(_real_friction(band), friction, error, "1")}
 
 
-def _acceleration(times_s: FloatArray, path_m: FloatArray) -> tuple[float, float]:
-    """Return the acceleration of the moving part of a path that starts at 0, and its standard error [m/s^2].
+def _friction_of(
+    times_s: FloatArray, path_mm: FloatArray, slope_rad: float, gravity: float
+) -> tuple[float, float]:
+    """Return the friction of a path down a slope from 0, mu = (g sin - a) / (g cos), and its standard error.
 
     The fit uses only samples after 2 mm of travel, because the law does not hold before the release.
     """
-    moving = path_m > 2e-3
+    moving = path_mm > 2.0
     if moving.sum() < MIN_SAMPLES:
-        moving = np.ones(len(path_m), dtype=bool)
-    moving_s, moving_m = times_s[moving], path_m[moving]
-    return acceleration_m_per_s2(moving_s, moving_m), acceleration_error_m_per_s2(
-        moving_s, moving_m
-    )
+        moving = np.ones(len(path_mm), dtype=bool)
+    path = times_s[moving], 1e-3 * path_mm[moving]
+    acceleration = acceleration_m_per_s2(*path)
+    error = acceleration_error_m_per_s2(*path) / (gravity * math.cos(slope_rad))
+    return slide_friction(acceleration, slope_rad, gravity_m_per_s2=gravity), error
 
 
 @lru_cache(maxsize=64)
@@ -263,13 +263,12 @@ def _real_friction(band: Band) -> RealValue | None:
     frictions = []
     for trial in band.trials:
         seen = band.measured & np.isfinite(trial).all(axis=1)
-        if seen.sum() < MIN_SAMPLES:
-            continue
-        path_m = 1e-3 * (trial[seen] - trial[seen][0]) @ along
-        acceleration, _ = _acceleration(times_s[seen], path_m)
-        frictions.append(
-            slide_friction(acceleration, slope_rad, gravity_m_per_s2=GRAVITY_M_PER_S2)
-        )
+        if seen.sum() >= MIN_SAMPLES:
+            path_mm = (trial[seen] - trial[seen][0]) @ along
+            friction, _ = _friction_of(
+                times_s[seen], path_mm, slope_rad, GRAVITY_M_PER_S2
+            )
+            frictions.append(friction)
     real = _of_trials(frictions)
     if real is None:
         return None
@@ -318,11 +317,10 @@ def rebound(
         1e-3 * values @ normal,
         gravity_m_per_s2=gravity,
         contact_m=None,
-        released_m=None,
     )
-    if bounce is None or bounce.speed_out_m_per_s == 0.0 or bounce.misfit > MAX_MISFIT:
+    if bounce is None or bounce.misfit > MAX_MISFIT:
         return None
-    return bounce.speed_out_m_per_s / bounce.speed_in_m_per_s
+    return bounce.restitution
 
 
 @lru_cache(maxsize=64)
@@ -386,13 +384,11 @@ class Ringing:
         frequency: Frequency of the damped swing, and its uncertainty [Hz].
         decay_rate: Decay rate of the amplitude, and its uncertainty [1/s].
         droop: Height of the end in the level body minus its height at rest, and its uncertainty [mm].
-        residual_mm: Root mean square of the residuals [mm].
     """
 
     frequency: tuple[float, float]
     decay_rate: tuple[float, float]
     droop: tuple[float, float]
-    residual_mm: float
 
     @property
     def damping_ratio(self) -> float:
@@ -456,5 +452,4 @@ def fit_ringing(
         frequency=(abs(frequency), errors[4]),
         decay_rate=(decay, errors[3]),
         droop=(level_mm - hang, errors[0]),
-        residual_mm=math.sqrt(2.0 * best.cost / len(times)),
     )

@@ -142,33 +142,17 @@ def hann_mean(values: FloatArray) -> FloatArray:
 # --- bounces ---------------------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Bounce:
     """The first bounce of a body, between two free flights.
 
     Attributes:
-        time_s: Time at which the flights meet [s].
-        until_s: Time of the first sample after the outgoing flight, or of the last sample [s].
-        speed_in_m_per_s: Approach speed just before the contact.
-        speed_out_m_per_s: Separation speed just after the contact.
+        restitution: Speed after the bounce over the speed before it (Newton); 0 if the body stays down.
         misfit: Larger root-mean-square distance of a flight from its parabola, over the height range of the flight.
     """
 
-    time_s: float
-    until_s: float
-    speed_in_m_per_s: float
-    speed_out_m_per_s: float
+    restitution: float
     misfit: float
-
-    @property
-    def restitution(self) -> float:
-        """Ratio of the speeds after and before the bounce (Newton)."""
-        return self.speed_out_m_per_s / self.speed_in_m_per_s
-
-
-def speed_at_contact_m_per_s(top_m: float, gravity_m_per_s2: float) -> float:
-    """Return the speed at the contact of a flight whose top is at a height over it: v = sqrt(2 g h)."""
-    return math.sqrt(2.0 * gravity_m_per_s2 * max(top_m, 0.0))
 
 
 def first_bounce(
@@ -194,7 +178,7 @@ def first_bounce(
         released_m: Height of the release at rest; None fits it from the fall.
 
     Returns:
-        The bounce; its outgoing speed is 0 if the body stays down. None if the body does not fall to the contact.
+        The bounce; None if the body does not fall to the contact.
     """
     start_m = float(heights_m[0])
     floor_m = float(heights_m.min()) if contact_m is None else contact_m
@@ -205,33 +189,23 @@ def first_bounce(
     clear = heights_m > floor_m + CLEARANCE * drop_m
     fell = np.flatnonzero(clear[:low] & (start_m - heights_m[:low] > FALLEN * drop_m))
     rose = _flight_after(heights_m, clear, low, floor_m)
-    flight_in = _Flight.of(times_s[fell], heights_m[fell], gravity_m_per_s2)
-    flight_out = _Flight.of(times_s[rose], heights_m[rose], gravity_m_per_s2)
-    until_s = float(times_s[-1])
-    if len(rose):
-        until_s = float(times_s[min(int(rose[-1]) + 1, len(times_s) - 1)])
-    if contact_m is None:
-        return _meeting(flight_in, flight_out, until_s)
-    fallen_m = released_m
-    if fallen_m is None:
-        fallen_m = start_m if flight_in is None else flight_in.top_m
-    # A hop with too few samples for a fit has the height of its highest sample.
-    hop_m = flight_out.top_m if flight_out is not None else float(heights_m[low:].max())
-    time_s = float(times_s[low])
-    if flight_in is not None and flight_out is not None:
-        time_s = flight_in.meets_s(flight_out)
-    return Bounce(
-        time_s=time_s,
-        until_s=until_s,
-        speed_in_m_per_s=speed_at_contact_m_per_s(
-            fallen_m - contact_m, gravity_m_per_s2
-        ),
-        speed_out_m_per_s=speed_at_contact_m_per_s(hop_m - contact_m, gravity_m_per_s2),
-        misfit=max(
-            (flight.misfit for flight in (flight_in, flight_out) if flight is not None),
-            default=0.0,
-        ),
+    flight_in, flight_out = (
+        _Flight.of(times_s[rows], heights_m[rows], gravity_m_per_s2)
+        for rows in (fell, rose)
     )
+    if contact_m is None:
+        restitution = _restitution_where_met(flight_in, flight_out)
+    else:
+        fallen_m = released_m
+        if fallen_m is None:
+            fallen_m = start_m if flight_in is None else flight_in.top_m
+        # A hop with too few samples for a fit has the height of its highest sample.
+        hop_m = float(heights_m[low:].max()) if flight_out is None else flight_out.top_m
+        restitution = math.sqrt(max(hop_m - contact_m, 0.0) / (fallen_m - contact_m))
+    if restitution is None:
+        return None
+    flights = filter(None, (flight_in, flight_out))
+    return Bounce(restitution, max((flight.misfit for flight in flights), default=0.0))
 
 
 @dataclass(frozen=True)
@@ -261,38 +235,24 @@ class _Flight:
         """Height of the vertex: z0 + v^2 / (2 g)."""
         return self.start_m + self.speed_m_per_s**2 / (2.0 * self.gravity_m_per_s2)
 
-    def speed_at(self, time_s: float) -> float:
-        """Return the upward speed at a time [m/s]."""
-        return self.speed_m_per_s - self.gravity_m_per_s2 * time_s
 
-    def meets_s(self, flight: _Flight) -> float:
-        """Return the time at which this flight meets another one [s]; their difference is a straight line."""
-        return (self.start_m - flight.start_m) / (
-            flight.speed_m_per_s - self.speed_m_per_s
-        )
-
-
-def _meeting(
-    flight_in: _Flight | None, flight_out: _Flight | None, until_s: float
-) -> Bounce | None:
-    """Return the bounce at the point where two flights meet; None if the speed does not change its sign there."""
-    if (
-        flight_in is None
-        or flight_out is None
-        or flight_out.speed_m_per_s <= flight_in.speed_m_per_s
-    ):
+def _restitution_where_met(
+    flight_in: _Flight | None, flight_out: _Flight | None
+) -> float | None:
+    """Return the ratio of speeds where two flights meet; None if the speed does not change its sign there."""
+    if flight_in is None or flight_out is None:
         return None
-    time_s = flight_in.meets_s(flight_out)
-    speed_in, speed_out = -flight_in.speed_at(time_s), flight_out.speed_at(time_s)
-    if speed_in <= 0.0 or speed_out <= 0.0:
+    # The difference of two flights is a straight line.
+    gained = flight_out.speed_m_per_s - flight_in.speed_m_per_s
+    if gained <= 0.0:
         return None
-    return Bounce(
-        time_s=time_s,
-        until_s=until_s,
-        speed_in_m_per_s=speed_in,
-        speed_out_m_per_s=speed_out,
-        misfit=max(flight_in.misfit, flight_out.misfit),
+    time_s = (flight_in.start_m - flight_out.start_m) / gained
+    fall = flight_in.gravity_m_per_s2 * time_s
+    speed_in, speed_out = (
+        fall - flight_in.speed_m_per_s,
+        flight_out.speed_m_per_s - fall,
     )
+    return speed_out / speed_in if speed_in > 0.0 and speed_out > 0.0 else None
 
 
 def _first_minimum(heights_m: FloatArray, *, below_m: float) -> int | None:

@@ -26,6 +26,9 @@ MAX_REST_RANGE_MM = 0.5
 MAX_REST_SPEED_MM_PER_S = 5.0
 """Largest speed of one rest [mm/s] (paper, LSD)."""
 
+LEAVE_HEIGHT_MM = 1.0
+"""Height above rest at which a swing begins and ends [mm], more than the noise of a recording."""
+
 # Frames on each side of a turning point that locate it. The polynomial through them has twice that degree. At 30 Hz and
 # a period of 1.2 s, 2 frames give an error of 3e-6 in energy. 4 frames would include the impact of a cradle.
 _APEX_NEIGHBOURS = 3
@@ -60,17 +63,13 @@ def event_values(experiment: Experiment, frames: FloatArray) -> dict[str, float]
         "mte": lambda: momentum_transfer_efficiency(
             heights_mm, drop_height_mm=drop_mm, rest_height_mm=rest_mm
         ),
-        "pd": lambda: oscillation_period(signal_mm, frame_rate_hz=FRAME_RATE_HZ),
+        "pd": lambda: oscillation_period(signal_mm),
         "el": lambda: energy_loss(heights_mm, rest_height_mm=rest_mm),
     }
     return {metric: functions[metric]() for metric in wanted}
 
 
-def longest_stationary_duration(
-    height_mm: ArrayLike,
-    *,
-    frame_rate_hz: float = FRAME_RATE_HZ,
-) -> float:
+def longest_stationary_duration(height_mm: ArrayLike) -> float:
     """Return the longest rest of a cradle's ball between two impulses (paper, equation and thresholds of LSD).
 
     A rest is a run of frames whose height changes at most at the speed limit. Its duration counts the frames of its
@@ -81,13 +80,12 @@ def longest_stationary_duration(
 
     Args:
         height_mm: Height of the ball at every frame, shape [frame_count], mm.
-        frame_rate_hz: Frame rate, Hz.
 
     Returns:
         Number of frames of the longest rest over the frame rate, s; 0 if the ball never rests between impulses.
     """
     heights = _samples("height_mm", height_mm, min_count=2)
-    is_slow = np.abs(np.diff(heights)) * frame_rate_hz <= MAX_REST_SPEED_MM_PER_S
+    is_slow = np.abs(np.diff(heights)) * FRAME_RATE_HZ <= MAX_REST_SPEED_MM_PER_S
     edges = np.diff(np.concatenate(([False], is_slow, [False])).astype(int))
     # Step k joins frames k and k + 1.
     longest = 0
@@ -95,7 +93,7 @@ def longest_stationary_duration(
         if first > 0 and last < len(heights) - 1:
             rest = heights[first : last + 1]
             longest = max(longest, _longest_window(rest, MAX_REST_RANGE_MM))
-    return longest / frame_rate_hz if longest >= 2 else 0.0
+    return longest / FRAME_RATE_HZ if longest >= 2 else 0.0
 
 
 def swing_times(
@@ -103,7 +101,6 @@ def swing_times(
     height_mm: ArrayLike,
     *,
     rest_height_mm: float,
-    leave_height_mm: float = 1.0,
 ) -> dict[str, FloatArray]:
     """Return when a cradle's last ball leaves the row and returns to it.
 
@@ -111,14 +108,13 @@ def swing_times(
         times_s: Time of every sample, ascending, shape [sample_count], s.
         height_mm: Height of the last ball, shape [sample_count], mm. The first sample is at rest.
         rest_height_mm: Height of the last ball at rest, mm.
-        leave_height_mm: Height above rest at which a swing begins and ends, mm.
 
     Returns:
         `leaves_s`, the time at which each swing begins; `returns_s`, the time at which it ends; and `rests_s`, the time
         between a swing and the next. `returns_s` has one entry less if the trajectory ends during a swing.
     """
     heights = _samples("height_mm", height_mm, min_count=2) - (
-        rest_height_mm + leave_height_mm
+        rest_height_mm + LEAVE_HEIGHT_MM
     )
     times = np.asarray(times_s)
     before = np.flatnonzero((heights[:-1] > 0) != (heights[1:] > 0))
@@ -137,7 +133,6 @@ def momentum_transfer_efficiency(
     *,
     drop_height_mm: float,
     rest_height_mm: float,
-    leave_height_mm: float = 1.0,
 ) -> float:
     """Return the momentum of the outgoing ball over that of the incoming ball at the first impact (paper, MTE).
 
@@ -145,14 +140,13 @@ def momentum_transfer_efficiency(
         height_mm_out: Height of the last ball at every frame, shape [frame_count], mm.
         drop_height_mm: Height of the first ball at its release above its height at rest, mm.
         rest_height_mm: Height of the last ball at rest, mm.
-        leave_height_mm: Height above rest at which the outgoing swing begins, more than the noise of a recording, mm.
 
     Returns:
         sqrt(rise / drop) as a ratio; the paper's Table 5 prints percent. The rise is the height of the first maximum
         after the ball leaves rest, located between frames. NaN if the ball never leaves rest, or never turns.
     """
     height_mm_out = _samples("height_mm_out", height_mm_out, min_count=2)
-    left = np.flatnonzero(height_mm_out > rest_height_mm + leave_height_mm)
+    left = np.flatnonzero(height_mm_out > rest_height_mm + LEAVE_HEIGHT_MM)
     apexes = _turning_points(height_mm_out)
     apexes = apexes[apexes >= left[0]] if left.size else left
     if not apexes.size:

@@ -88,19 +88,10 @@ def coulomb_slide(scene: Scene, body: RigidBody) -> MotionOfTime | None:
         pull = float(np.linalg.norm(along))
         acceleration = pull - contact.friction * load
         direction = along / max(pull, np.finfo(float).tiny)
-        return partial(
-            _slide,
-            start_m=np.array(body.pose.position_m),
-            acceleration_m_per_s2=max(acceleration, 0.0) * direction,
-        )
+        change = 0.5 * max(acceleration, 0.0) * direction
+        start_m = np.array(body.pose.position_m)
+        return lambda times_s: start_m + np.outer(times_s**2, change)
     return None
-
-
-def _slide(
-    times_s: FloatArray, *, start_m: FloatArray, acceleration_m_per_s2: FloatArray
-) -> FloatArray:
-    """Return the positions [m], shape [S, 3], of a body that accelerates uniformly from rest."""
-    return start_m + 0.5 * np.outer(times_s**2, acceleration_m_per_s2)
 
 
 def ideal_rebounds(scene: Scene, ball: RigidBody) -> MotionOfTime | None:
@@ -119,25 +110,18 @@ def ideal_rebounds(scene: Scene, ball: RigidBody) -> MotionOfTime | None:
         is_level = plane.pose.matrix[2, 2] >= 1.0 - FLAT_TOLERANCE
         if not is_level or ball.pose.position_m[2] < rest_m - CONTACT_TOLERANCE_M:
             continue
-        return partial(
-            _bounces,
-            ball=ball,
-            radius_m=radius_m,
-            rest_m=rest_m,
-            contact=contact,
-            gravity_m_per_s2=scene.gravity_m_per_s2,
-        )
+        gravity = scene.gravity_m_per_s2
+        return partial(_bounces, ball, radius_m, rest_m, contact, gravity)
     return None
 
 
 def _bounces(
-    times_s: FloatArray,
-    *,
     ball: RigidBody,
     radius_m: float,
     rest_m: float,
     contact: Contact,
     gravity_m_per_s2: float,
+    times_s: FloatArray,
 ) -> FloatArray:
     """Return the positions [m], shape [S, 3], of a ball that rebounds when its centre is at a height [m]."""
     place_m = np.array(ball.pose.position_m)

@@ -35,6 +35,9 @@ def student_t(freedom: float, coverage: float = 0.95) -> float:
     return float(stdtrit(freedom, 0.5 + 0.5 * coverage))
 
 
+SKEWNESS_FACTOR = 1.5
+"""Skewness of an exponential population over that of 20 values; a half-normal one has 1.3, a lognormal one 2.4."""
+
 ONE_SIDED = 0.9
 """Coverage of an interval on both sides with 5 % of the values above it, where none count as too small."""
 
@@ -57,8 +60,8 @@ def distance_interval(distance: float, uncertainty: float) -> tuple[float, float
 
 def ratio_interval(
     ratio: float,
-    relative: tuple[float, float],
-    half_width: float,
+    relative: FloatArray,
+    half_widths: tuple[float, float],
     correlation: float = 0.0,
 ) -> tuple[float, float]:
     """Return the 95 % interval of a distance over the mean distance of real trials.
@@ -69,33 +72,69 @@ def ratio_interval(
     Args:
         ratio: The distance over the mean distance.
         relative: 95 % interval of the distance, over the distance.
-        half_width: Half the 95 % interval of the logarithm of the mean distance.
+        half_widths: The 95 % interval of the logarithm of the mean distance, below and above its value.
         correlation: Correlation between the errors of both logarithms.
     """
 
-    def half_with(of_distance: float) -> float:
-        product = 2.0 * correlation * of_distance * half_width
-        return math.sqrt(max(of_distance**2 + half_width**2 - product, 0.0))
+    def half_with(of_distance: float, of_mean: float) -> float:
+        product = 2.0 * correlation * of_distance * of_mean
+        return math.sqrt(max(of_distance**2 + of_mean**2 - product, 0.0))
 
-    low, high = relative
-    above = ratio * math.exp(half_with(math.log(high)))
-    return ratio / math.exp(half_with(-math.log(low))) if low > 0.0 else 0.0, above
+    low, high = map(float, relative)
+    below, above = half_widths
+    largest = ratio * math.exp(half_with(math.log(high), below))
+    if low <= 0.0:
+        return 0.0, largest
+    return ratio / math.exp(half_with(-math.log(low), above)), largest
 
 
-def jackknife_half_width(without: FloatArray) -> float:
-    """Return half the 95 % interval of a value by the jackknife, from the values without each trial, shape [N].
+def jackknife_interval(
+    ratio: float, relative: FloatArray, *, baselines: FloatArray, distances: FloatArray
+) -> tuple[float, float]:
+    """Return `ratio_interval` of a distance and a mean distance from the same trials, by the jackknife.
 
     Heavy tails make the variance uncertain. Its variance, sigma^4 (2 / (N - 1) + k / N) with the excess kurtosis k,
     gives the degrees of freedom of Student's t (Satterthwaite).
+
+    Args:
+        ratio: The distance over the mean distance.
+        relative: 95 % interval of the distance, over the distance.
+        baselines: Mean distance of the trials without each of them, shape [N].
+        distances: The distance without each trial, shape [N].
     """
-    count = len(without)
-    squares = np.square(without - without.mean())
-    total = float(squares.sum())
-    if total == 0.0:
-        return 0.0
+    count = len(baselines)
+    # Without a trial, a mean is smaller by the error that the trial adds.
+    errors = -np.log([distances, baselines])
+    of_distance, of_mean = errors - errors.mean(axis=1, keepdims=True)
+    squares = np.square(of_mean)
+    total = max(float(squares.sum()), 1e-30)
     kurtosis = count * float(np.square(squares).sum()) / total**2 - 3.0
     freedom = 2.0 / (2.0 / (count - 1) + max(kurtosis, 0.0) / count)
-    return student_t(freedom) * math.sqrt((count - 1) / count * total)
+    uncertainty = math.sqrt((count - 1) / count * total)
+    below, above = (uncertainty * t for t in skewed_t(of_mean, student_t(freedom)))
+    spread = math.sqrt(total * max(float(of_distance @ of_distance), 1e-30))
+    correlation = float(of_distance @ of_mean) / spread
+    return ratio_interval(ratio, relative, (below, above), correlation)
+
+
+def skewed_t(sample: FloatArray, t: float) -> tuple[float, float]:
+    """Return Student's t below and above the mean of a sample, longer on the side of its tail (Johnson 1978).
+
+    A sample of N values from a skewed population has a small mean and a small scatter together.
+
+    Args:
+        sample: The sample, shape [N].
+        t: Student's t of a sample that is not skewed.
+    """
+    count = len(sample)
+    deviations = sample - sample.mean()
+    scatter = float(deviations.std())
+    if count < 3 or scatter == 0.0:
+        return t, t
+    bias = math.sqrt(count * (count - 1)) / (count - 2)
+    skewness = SKEWNESS_FACTOR * bias * float(np.mean((deviations / scatter) ** 3))
+    longer = skewness * (1.0 + 2.0 * t**2) / (6.0 * math.sqrt(count))
+    return t + max(-longer, 0.0), t + max(longer, 0.0)
 
 
 def distances_without(deviation: FloatArray, trials: FloatArray) -> FloatArray:
@@ -180,24 +219,27 @@ def trials_interval(
     distance = length_of(vector)
     along = rows @ vector / max(distance, 1e-300)
     # Correlated consecutive trials count as fewer: AR(1), with the bias 1/N of its correlation.
-    series = along[:count]
+    series = along[:count].copy()
     square = max(float(series @ series), 1e-300)
     lag = float(series[1:] @ series[:-1]) / square + 1.0 / count
     lag = min(max(lag, 0.0), 1.0 - 1.0 / count)
-    widening = np.ones(len(rows))
-    widening[:count] = math.sqrt((1.0 + lag) / (1.0 - lag))
-    rows *= widening[:, None]
-    along *= widening
+    widening = math.sqrt((1.0 + lag) / (1.0 - lag))
+    rows[:count] *= widening
+    along[:count] *= widening
 
     products = rows @ rows.T
     variance = float(np.trace(products))
-    student_square = student_t(count - 1) ** 2
-    excess = distance**2 - variance
-    centre = excess + 2.0 * student_square * float(along @ along)
-    at_zero = (student_square - 1.0) ** 2 * float(np.square(products).sum())
-    half = math.sqrt(max(centre**2 - excess**2 + at_zero, 0.0))
-    low = math.sqrt(max(centre - half, 0.0))
-    high = math.sqrt(max(centre + half, 0.0))
+
+    def end(t: float, side: float) -> float:
+        excess = distance**2 - variance
+        centre = excess + 2.0 * t**2 * float(along @ along)
+        at_zero = (t**2 - 1.0) ** 2 * float(np.square(products).sum())
+        half = math.sqrt(max(centre**2 - excess**2 + at_zero, 0.0))
+        return math.sqrt(max(centre + side * half, 0.0))
+
+    # A mean that is larger by the error of the trials is nearer to the motion.
+    above, below = skewed_t(series, student_t(count - 1))
     # The error of a distance is at most the length of the error vector.
-    longest = distance + math.sqrt(student_square * variance)
+    longest = distance + above * math.sqrt(variance)
+    low, high = end(below, -1.0), end(above, 1.0)
     return min(low, distance), min(max(high, distance), longest)

@@ -51,7 +51,11 @@ def trajectory_rmse(simulated: ArrayLike, real_mean: ArrayLike) -> float:
     Raises:
         ShapeError: The shapes differ, a simulated value is not finite, or nothing was measured.
     """
-    difference = _difference(simulated, real_mean)
+    first = _trajectory("simulated", simulated)
+    second = _trajectory("real_mean", real_mean, allow_missing=True)
+    if first.shape != second.shape:
+        raise ShapeError(f"simulated has shape {first.shape}, real_mean {second.shape}")
+    difference = first - second
     frame_count = np.count_nonzero(~np.isnan(difference).all(axis=1))
     if frame_count == 0:
         raise ShapeError("simulated and real_mean share no measured entry")
@@ -286,11 +290,3 @@ def _trajectory(
             "a finite number is needed"
         )
     return trajectory
-
-
-def _difference(simulated: ArrayLike, real_mean: ArrayLike) -> FloatArray:
-    first = _trajectory("simulated", simulated)
-    second = _trajectory("real_mean", real_mean, allow_missing=True)
-    if first.shape != second.shape:
-        raise ShapeError(f"simulated has shape {first.shape}, real_mean {second.shape}")
-    return first - second

@@ -110,7 +110,9 @@ def refusal(
         return f"no score: the {band.kind} reference holds for the nominal start, and this start had noise"
     scored, changes = "real scene", _real_changes(experiment)
     if band.kind.is_solution:
-        scored, changes = "scene of the task file", _changes(experiment)
+        solved = _nominal(experiment).scene
+        scored = "scene of the task file"
+        changes = _changes(solved, experiment, SOLUTION_ALLOWS)
     if not changes:
         return None
     more = f", and {len(changes) - 1} more" if len(changes) > 1 else ""
@@ -122,27 +124,22 @@ def has_real_structure(experiment: Experiment) -> bool:
     return not _real_changes(experiment)
 
 
-def _changes(experiment: Experiment) -> list[Change]:
-    """Return the changes that a solution of the scene of the task file does not allow."""
-    solved = _nominal(experiment).scene
-    return [
-        change
-        for change in _differences(solved, experiment)
-        if not _is_allowed(change, SOLUTION_ALLOWS)
-    ]
-
-
 def _real_changes(experiment: Experiment) -> list[Change]:
     """Return the changes that real trials do not allow."""
-    real = _real_scene(experiment)
-    allowed = REAL_ALLOWS
+    real, allowed = _real_scene(experiment), REAL_ALLOWS
     if not _starts_near(real, experiment.scene):
         allowed = REAL_ALLOWS - {ChangeKind.START}
-    return [
-        change
-        for change in _differences(real, experiment)
-        if not _is_allowed(change, allowed)
-    ]
+    return _changes(real, experiment, allowed)
+
+
+def _changes(
+    before: Scene, experiment: Experiment, allowed: Collection[ChangeKind]
+) -> list[Change]:
+    """Return the changes of an experiment from a scene that are not allowed, with those of its MJCF file."""
+    changes = [*scene_changes(before, experiment.scene)]
+    if experiment.asset is not None and experiment.model_file is not None:
+        changes += experiment.asset.changes
+    return [change for change in changes if not _is_allowed(change, allowed)]
 
 
 def _is_allowed(change: Change, kinds: Collection[ChangeKind]) -> bool:
@@ -151,14 +148,6 @@ def _is_allowed(change: Change, kinds: Collection[ChangeKind]) -> bool:
         return change.kind in kinds
     difference = np.linalg.norm(np.subtract(change.after, change.before))
     return bool(difference <= MAX_GRAVITY_CHANGE * np.linalg.norm(change.before))
-
-
-def _differences(before: Scene, experiment: Experiment) -> list[Change]:
-    """Return the differences of an experiment from a scene, with those of the model in an MJCF file."""
-    changes = [*scene_changes(before, experiment.scene)]
-    if experiment.asset is not None and experiment.model_file is not None:
-        changes += experiment.asset.changes
-    return changes
 
 
 def _real_scene(experiment: Experiment) -> Scene:

@@ -9,7 +9,8 @@ from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.references.band import Band
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import SAMPLES_PER_FRAME
-from gauge_envs.scoring.answers import normalizing_baselines
+from gauge_envs.scoring.answers import baseline_means
+from gauge_envs.scoring.distances import has_unknown_release
 from gauge_envs.scoring.metrics import time_offset
 
 
@@ -45,15 +46,12 @@ def score_worlds(
         axis=(1, 2)
     )
     scores = {"rmse": np.sqrt(squares / np.count_nonzero(band.known))}
-    if band.has_release and experiment.trial is None:
+    if has_unknown_release(experiment, band):
         aligned = np.full((len(values), 2), np.nan)
         for number in np.flatnonzero(np.isfinite(scores["rmse"])):
             aligned[number] = time_offset(times_s, projected[number], band.mean)
         scores["time_offset_s"], scores["rmse_aligned"] = aligned.T
-    published = normalizing_baselines(experiment, band).get("rmse")
-    if published is not None:
-        scores["rmse_normalized"] = scores["rmse"] / published.mean
-    if band.trial_rmse_aligned is not None and "rmse_aligned" in scores:
-        mean = float(band.trial_rmse_aligned.mean())
-        scores["rmse_aligned_normalized"] = scores["rmse_aligned"] / mean
+    for name, mean in baseline_means(experiment, band).items():
+        if name in scores:
+            scores[f"{name}_normalized"] = scores[name] / mean
     return scores

@@ -1,10 +1,10 @@
 """Every id passes the checker of Gymnasium, starts as in its task file, replays its drivers, and has golden numbers.
 
 The default run takes the rigid ids whole, two frames of the others, and one id of each kind for the checker; the slow
-set takes all. `golden.json` has the numbers of version 0.3.0; the ten references of TextileStretching, FoamBending and
-CantileverBeam are newer (`scoring/PROVENANCE.md`). No tumbling body is compared on other engines: a start that is
-1e-7 m elsewhere moves it by millimetres. Tolerances exceed what rounding noise in each step, and NumPy on an older
-processor, move.
+set takes all. `golden.json` has the numbers of version 0.3.0. Of the 17 newer references (`scoring/PROVENANCE.md`),
+TextileStretching, FoamBending and CantileverBeam have scores here. No tumbling body is compared on other engines: a
+start that is 1e-7 m elsewhere moves it by millimetres. Tolerances exceed what rounding noise in each step, and NumPy
+on an older processor, move.
 """
 
 import csv

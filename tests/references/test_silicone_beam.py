@@ -52,7 +52,6 @@ def test_the_fit_returns_a_known_swing(frequency_hz, decay, droop_mm, rate_hz):
     # The fit skips the first 0.15 s, which have higher bending modes.
     heights[times_s < 0.149] += 5.0
     exact = fit_ringing(times_s, heights, level_mm=200.0)
-    assert exact.residual_mm < 1e-6
     for name, truth in (
         ("frequency", frequency_hz),
         ("decay_rate", decay),
@@ -70,9 +69,6 @@ def test_the_uncertainty_of_a_fit_is_its_scatter():
         fit_ringing(times_s, heights + random.normal(0.0, 0.1, 75), level_mm=200.0)
         for _ in range(60)
     ]
-    residual_mm = np.mean([fit.residual_mm for fit in fits])
-    # 70 samples and five constants.
-    assert residual_mm == pytest.approx(0.1 * math.sqrt(65 / 70), rel=0.03)
     for name in ("frequency", "decay_rate", "droop"):
         values, errors = zip(*(getattr(fit, name) for fit in fits), strict=True)
         assert np.std(values) == pytest.approx(np.mean(errors), rel=0.25)

@@ -3,14 +3,23 @@
 `test_cause` asks both questions of over 100 wrong motions of scenes with real trials.
 """
 
+import csv
 import math
 
 import numpy as np
 import pytest
+from places import ROOT
 from swings import swung_rad
 
-from gauge_envs import load_experiment
-from gauge_envs.scoring.answers import Answer, mattering_distance, united, within
+from gauge_envs import load_experiment, variants
+from gauge_envs.references.kind import Kind
+from gauge_envs.scoring.answers import (
+    Answer,
+    mattering_distance,
+    solves,
+    united,
+    within,
+)
 from gauge_envs.scoring.reference import reference_band
 from gauge_envs.scoring.trajectory import score_trajectory
 
@@ -42,6 +51,22 @@ def test_one_no_decides_and_one_doubt_remains():
     assert united([Answer.YES, Answer.CANNOT_TELL, Answer.NO]) is Answer.NO
     assert united([Answer.YES, None]) is Answer.YES
     assert united([None]) is None and united([]) is None
+
+
+def test_coverage_counts_the_solutions_that_are_too_uncertain_for_a_yes():
+    """Even the exact motion cannot get a yes where 1.96 u is above the smallest distance that matters."""
+    with (ROOT / "scoring" / "answers.csv").open(encoding="utf-8") as stream:
+        answers = {row["id"]: row["solves"] for row in csv.DictReader(stream)}
+    doubtful = [name for name, answer in answers.items() if answer == "cannot tell"]
+    bands = [reference_band(load_experiment(name)) for name in doubtful]
+    uncertain = sum(solves(band, 0.0) is Answer.CANNOT_TELL for band in bands)
+    text = f'MuJoCo gets {len(doubtful)} "cannot tell" of {len(answers)} ids. In {uncertain} of them'
+    assert text in (ROOT / "docs" / "coverage.md").read_text()
+
+
+def test_only_measured_motions_are_trials():
+    bands = [reference_band(load_experiment(variant.name)) for variant in variants()]
+    assert all((b.kind is Kind.TRIALS) == (b.trials is not None) for b in bands if b)
 
 
 def fallen_mm(experiment, times_s, gravity):

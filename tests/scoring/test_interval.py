@@ -4,17 +4,19 @@ import math
 
 import numpy as np
 import pytest
-from scipy.stats import binom, t as student
+from scipy.stats import binom, skew, t as student
 
-from gauge_envs import load_experiment
+from gauge_envs import load_experiment, reference_band
 from gauge_envs.scoring.interval import (
     distance_interval,
-    mean_half_width,
+    distances_without,
+    jackknife_interval,
     prediction_limit,
-    ratio_interval,
+    skewed_t,
     student_t,
     trials_interval,
 )
+from studies.coverage.intervals import REAL, UNSEEN_SHAPES, World, own, resampled
 
 TIMES_S = np.arange(19) / 30.0
 
@@ -56,6 +58,15 @@ def distances(trials):
     return np.sqrt(np.mean(np.square(trials - means), axis=1))
 
 
+def baselines_without(trials):
+    """Return the mean distance of the trials without each of them."""
+    count = len(trials)
+    pairs = trials[:, None] + trials
+    others = trials[:, None] - (trials.sum(axis=0) - pairs) / (count - 2)
+    sizes = np.sqrt(np.mean(np.square(others), axis=2))
+    return (sizes.sum(axis=0) - sizes.diagonal()) / (count - 1)
+
+
 @pytest.mark.parametrize("factor", [0.3, 3.0, 10.0, 60.0])
 @pytest.mark.parametrize("count", [5, 20])
 def test_intervals_of_a_normalized_distance_hold_the_ratio_of_the_true_ones(
@@ -71,30 +82,50 @@ def test_intervals_of_a_normalized_distance_hold_the_ratio_of_the_true_ones(
     for _ in range(realities):
         trials = slides(random, count)
         deviation = engine - trials.mean(axis=0)
+        distance = math.sqrt(np.mean(np.square(deviation)))
         interval = trials_interval(deviation[:, None], trials[..., None])
-        of_trials = distances(trials)
-        distance, mean = math.sqrt(np.mean(np.square(deviation))), of_trials.mean()
-        low, high = ratio_interval(
-            distance / mean,
-            (interval[0] / distance, interval[1] / distance),
-            mean_half_width(of_trials) / mean,
+        low, high = jackknife_interval(
+            distance / distances(trials).mean(),
+            np.divide(interval, distance),
+            baselines=baselines_without(trials),
+            distances=distances_without(deviation[:, None], trials[..., None]),
         )
         inside += low <= truth / baseline <= high
-    # The distances of five trials depend on each other, so their mean is less certain than Student's interval says.
-    assert inside >= binom.ppf(1e-4, realities, 0.93 if count == 20 else 0.90)
+    assert inside >= binom.ppf(1e-4, realities, 0.93)
     assert factor < 10.0 or inside <= binom.ppf(1.0 - 1e-4, realities, 0.98)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "name", ["SlopeSlider-2-wood", "SlopeSlider-2-plastic", "BouncingBall-rubber"]
-)
-def test_intervals_hold_the_truth_in_worlds_resampled_from_the_real_trials(name):
-    """Their distances are skewed and depend on each other; studies/coverage has all ids and more worlds."""
-    from studies.coverage.resampled import coverage
+def test_the_worlds_of_the_study_have_the_distances_of_the_score():
+    band = reference_band(load_experiment("SlopeSlider-2-wood"))
+    world = World(band.trials, resampled("SlopeSlider-2-wood").motions)
+    assert world.trial_distances == pytest.approx(band.trial_rmse_aligned, abs=1e-6)
+    assert world.baselines_without == pytest.approx(band.baselines_without, abs=1e-6)
 
-    _, held = coverage(load_experiment(name), 40)
-    assert held >= binom.ppf(1e-4, 40, 0.93) / 40
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", REAL)
+def test_intervals_hold_the_truth_in_worlds_resampled_from_the_real_trials(name):
+    """Few trials are far from the others, so worlds without them seem certain; studies/coverage has the shares."""
+    _, (of_distance, of_ratio) = resampled(name).coverage(200, seed=3)
+    assert min(of_distance.min(), of_ratio.min()) >= binom.ppf(1e-4, 200, 0.90) / 200
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("count", [5, 20])
+@pytest.mark.parametrize("name", [*UNSEEN_SHAPES])
+def test_intervals_hold_the_truth_if_trials_scatter_in_another_shape(name, count):
+    population = own(name, UNSEEN_SHAPES[name], count)
+    _, (of_distance, of_ratio) = population.coverage(200, seed=3)
+    assert min(of_distance.min(), of_ratio.min()) >= binom.ppf(1e-4, 200, 0.91) / 200
+
+
+def test_the_interval_of_skewed_trials_is_longer_on_the_side_of_the_tail():
+    """Johnson's t of skewness g and N values: t + g (1 + 2 t^2) / (6 sqrt(N))."""
+    sample = np.array([0.0, 0.0, 1.0, 1.0, 1.0, 9.0])
+    longer = 1.5 * skew(sample, bias=False) * (1.0 + 2.0 * 4.0) / (6.0 * math.sqrt(6.0))
+    assert skewed_t(sample, 2.0) == pytest.approx((2.0, 2.0 + longer))
+    assert skewed_t(-sample, 2.0) == pytest.approx((2.0 + longer, 2.0))
+    assert skewed_t(np.ones(4), 2.0) == (2.0, 2.0)
 
 
 @pytest.mark.parametrize(

@@ -344,17 +344,16 @@ def _held_to_end(
         frames: g(t) at the 30 Hz frames, shape [frame_count, coordinate_count].
     """
     reference = _displacements(band) @ np.linalg.pinv(band.projection).T
-    names = experiment.coordinates
-    owners = np.array([name.rpartition(".")[0] or name for name in names])
-    for owner in dict.fromkeys(owners):
-        path = frames[:, owners == owner]
+    owners, is_of = owners_of(experiment.coordinates)
+    for owner, columns in zip(owners, is_of.T > 0.0, strict=True):
+        path = frames[:, columns]
         moves = np.linalg.norm(np.diff(path, axis=0), axis=1)
         moving = np.flatnonzero(moves > 1e-9 * (1.0 + np.abs(path).max()))
         start = int(moving[-1]) + 1 if moving.size else 0
         is_abrupt = start > 1 and moves[start - 1] > 0.6 * moves[start - 2]
         if not is_abrupt or band.known[start:].sum() < MIN_HELD_FRAMES:
             continue
-        real = reference[:, owners == owner]
+        real = reference[:, columns]
         # The reference hits nothing near this frame: its steps change slowly.
         steps = np.diff(real[start - 2 : start + 3], axis=0)
         is_smooth = _largest(np.diff(steps, axis=0)) <= 0.5 * _largest(steps)
