@@ -23,7 +23,7 @@ from gauge_envs.errors import TargetError
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.sanity.model_checks.runs import has_diverged
-from gauge_envs.tools.sanity.robot.robot import Robot
+from gauge_envs.tools.sanity.robot.robot import Robot, once
 from gauge_envs.tools.sanity.robot.standing import mesh_vertices_m
 from gauge_envs.tools.sanity.training import Settings
 
@@ -102,6 +102,7 @@ class Touch:
     offset_m: FloatArray
 
 
+@once
 def touching(robot: Robot) -> dict[tuple[int, int], FloatArray]:
     """Return mean normal and tangential force [N] of each pair that touches in the last half of a run, shape [2].
 
@@ -223,7 +224,7 @@ class Bench:
             own = self.touch.pull_n / (self.friction * self.touch.load_n)
             shares = {f"at {share:g} of the limit": share for share in SHARES}
             for name, share in {"in the run": min(own, SHARES[0]), **shares}.items():
-                speed = self._creep_um_per_s(share)
+                speed = self.creep_um_per_s(share)
                 add(f"creep {name}", speed, "um/s", 0.0, 100.0)
             for angle_deg in (0.0, 45.0):
                 name = f"slide at {angle_deg:g} degrees over Coulomb"
@@ -290,7 +291,7 @@ class Bench:
         )
         return float(under), float(own)
 
-    def _creep_um_per_s(self, share: float) -> float:
+    def creep_um_per_s(self, share: float) -> float:
         """Return the speed under a share of the limit of friction [um/s], in the second half of a run."""
         pressed = self._pressed_m_per_s2
         pushed = (share * self.friction * pressed, 0.0, -pressed)
@@ -355,6 +356,11 @@ def set_pair(model: mujoco.MjModel, changes: Settings, pair: int | None = 0) -> 
             getattr(model, f"pair_{PAIR_FIELDS[name]}")[pair] = value
 
 
+def can_measure(model: mujoco.MjModel, *geoms: int) -> bool:
+    """Return whether the bench can have some geoms."""
+    return mujoco.mjtGeom.mjGEOM_SDF not in model.geom_type[list(geoms)]
+
+
 def bench(robot: Robot, touch: Touch, constants: FloatArray) -> Bench:
     """Return the bench of two geoms.
 
@@ -367,6 +373,8 @@ def bench(robot: Robot, touch: Touch, constants: FloatArray) -> Bench:
         TargetError: A geom has a type that the bench cannot have.
     """
     model, spec = robot.model, mujoco.MjSpec()
+    if not can_measure(model, touch.fixed, touch.moving):
+        raise TargetError("a geom of type sdf cannot be measured alone")
     body = spec.worldbody.add_body(name="moving", pos=touch.offset_m)
     body.explicitinertial, body.mass, body.inertia = True, touch.mass_kg, np.ones(3)
     for axis in np.eye(3):
@@ -401,8 +409,6 @@ def _add_geom(
 ) -> None:
     """Give a body of the bench a copy of a geom; a height field becomes a plane."""
     kind = mujoco.mjtGeom(int(model.geom_type[geom]))
-    if kind == mujoco.mjtGeom.mjGEOM_SDF:
-        raise TargetError("a geom of type sdf cannot be measured alone")
     quaternion = pose.as_quat(scalar_first=True)
     added = body.add_geom(
         name=name, type=kind, size=model.geom_size[geom], quat=quaternion

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from fnmatch import fnmatchcase
 
 from gauge_envs.errors import UnknownNameError
-from gauge_envs.tools.sanity.object_checks import GRASP, RIGID
+from gauge_envs.tools.sanity.object_checks import OBJECT_CHECKS
 from gauge_envs.tools.sanity.target_checks import TARGET_CHECKS
 
 
@@ -12,15 +12,13 @@ def selection(only: Sequence[str] = ()) -> tuple[str, ...]:
     """Return ids of checks in a fixed order: all, or those that match a pattern.
 
     Args:
-        only: Ids or patterns such as `creep-*`, also several in a text with commas; all but those of grasps when empty.
+        only: Ids or patterns such as `creep-*`, also several in a text with commas; all when empty.
 
     Raises:
         UnknownNameError: A pattern matches no check.
     """
-    known: tuple[str, ...] = (*TARGET_CHECKS, *RIGID, *GRASP)
-    patterns = [part.strip() for text in only for part in text.split(",")]
-    if not patterns:
-        return known[: -len(GRASP)]
+    known: tuple[str, ...] = (*TARGET_CHECKS, *OBJECT_CHECKS)
+    patterns = [part.strip() for text in only or ["*"] for part in text.split(",")]
     for pattern in patterns:
         if not any(fnmatchcase(name, pattern) for name in known):
             raise UnknownNameError("check", pattern, known)

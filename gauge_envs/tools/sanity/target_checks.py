@@ -9,6 +9,7 @@ from gauge_envs.tools.sanity.model_checks import (
     free_motion,
     ground,
     joints,
+    own_contacts,
 )
 from gauge_envs.tools.sanity.model_checks.check import ModelCheck
 from gauge_envs.tools.sanity.static_rules import STATIC_RULES
@@ -32,6 +33,8 @@ RUN: tuple[ModelCheck, ...] = (
     at_rest.constraints,
     at_rest.slip,
     at_rest.hop,
+    own_contacts.foot_creep,
+    own_contacts.grasp_creep,
     at_rest.creep,
     free_motion.spin,
     free_motion.energy,

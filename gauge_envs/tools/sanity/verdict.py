@@ -179,7 +179,6 @@ class SanityResult:
         accepted: Why the user accepts the finding; empty for one that counts.
         fix: Change of the attributes that the finding names, which was tried; empty where none is known.
         effects: What else follows from the finding, in short sentences.
-        is_own: Whether the check is on the target itself or on its own foot.
     """
 
     id: str
@@ -200,16 +199,15 @@ class SanityResult:
     accepted: str = ""
     fix: str = ""
     effects: tuple[str, ...] = ()
-    is_own: bool = True
 
     @property
     def severity(self) -> Severity:
         """Consequence of the finding."""
         if not self.verdict.is_off or self.cause or self.accepted:
             return Severity.NONE
-        if not self.is_own:
+        if not self.is_on_target:
             return Severity.ADVICE
-        is_error = self.is_on_target and self.verdict is SanityVerdict.FAILED
+        is_error = self.verdict is SanityVerdict.FAILED
         return Severity.ERROR if is_error else Severity.WARNING
 
     @property

@@ -82,7 +82,7 @@ class FixSearch:
         """Return the changes that may resolve checks."""
         model_change = self._model_change()
         candidates = [model_change] if model_change else []
-        if any(name not in TARGET_CHECKS for name in self._flags):
+        if any(map(_is_general, self._flags)):
             general = candidates_of(self.configuration)
             candidates += [{**changes, **model_change} for changes in general]
         return candidates
@@ -92,7 +92,7 @@ class FixSearch:
         change: dict[str, Any] = {}
         # Wrong forces of the solver may explain all other findings.
         for name in sorted(self._flags, key="model-solver".__ne__):
-            if name not in TARGET_CHECKS:
+            if _is_general(name):
                 continue
             values = {self._before[name].value}
             candidates = candidates_of(self.configuration, name)
@@ -148,7 +148,7 @@ class FixSearch:
         Of equal changes, those with fewer settings come first, then the order of the candidates counts. A check runs
         only while its candidate may still resolve the most.
         """
-        objects = {*self._flags} - {*TARGET_CHECKS}
+        objects = [*filter(_is_general, self._flags)]
         names = [name for name in self._before if name in objects]
         queue = [(0, len(change), index, 0) for index, change in enumerate(candidates)]
         heapify(queue)
@@ -220,6 +220,15 @@ class FixSearch:
         text = f"resolves {counted(len(resolved), 'check')}"
         failing = [name for name in self._flags if name not in resolved]
         return f"{text}, not {', '.join(failing)}" if failing and resolved else text
+
+
+OWN_CONTACTS = ("foot-creep", "grasp-creep")
+"""Checks of contacts of the target, which the changes for measured objects may resolve."""
+
+
+def _is_general(name: str) -> bool:
+    """Return whether the changes for measured objects may resolve a check."""
+    return name not in TARGET_CHECKS or name in OWN_CONTACTS
 
 
 def _seconds(name: str) -> float:

@@ -93,7 +93,7 @@ def feet(robot: Robot) -> Finding:
         place = ("geom", plane)
         return Finding(value=1.0, remark=text, place=place, deviation=math.inf)
     standing = standing_of(robot)
-    lows = {geom: point[2] for geom, point in standing.support_m.items()}
+    lows = standing.support_m
     within_m = SOLE_WITHIN * standing.height_m
     carrying = {
         body for geom in lows for body in chain_of(model, int(model.geom_bodyid[geom]))
@@ -102,7 +102,7 @@ def feet(robot: Robot) -> Finding:
     lame: dict[int, int] = {}
     for geom in np.flatnonzero(np.isin(model.geom_bodyid, robot.bodies)).tolist():
         limb = chain_of(model, int(model.geom_bodyid[geom]))
-        low = support_m(robot, geom)[2]
+        low = support_m(robot, geom)
         near = [lows[sole] for sole in lows if model.geom_bodyid[sole] in limb[:2]]
         # Drawn geoms of a limb that touches are no fault; colliding geoms below its contact are.
         is_apart = limb[0] not in carrying and low <= standing.ground_m + within_m

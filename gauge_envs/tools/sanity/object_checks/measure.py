@@ -14,7 +14,7 @@ from gauge_envs.fixtures.recording import (
     UnsupportedError,
     raised_at,
 )
-from gauge_envs.tools.sanity.object_checks import GRASP, object_check
+from gauge_envs.tools.sanity.object_checks import object_check
 from gauge_envs.tools.sanity.object_checks.check import (
     ObjectCheck,
     Scenario,
@@ -34,17 +34,6 @@ Result = TypeVar("Result")
 
 FAILURE_DEVIATION = 2.0 * MAX_WARNING
 """Smallest deviation of a failure of another kind, twice the largest deviation of a warning."""
-
-CONTACT_PREFIXES = (
-    "contact_",
-    "condim",
-    "cone",
-    "impratio",
-    "torsional_",
-    "rolling_",
-    "o_friction",
-)
-"""Prefixes of settings that have no effect where nothing can touch."""
 
 
 class Measurements:
@@ -88,13 +77,7 @@ class Measurements:
         scenario: Scenario,
         settings: Settings,
     ) -> Result | PartOutcome:
-        touches = scenario.scene.contacts
-        relevant = [
-            (name, value)
-            for name, value in sorted(settings.items())
-            if touches or not name.startswith(CONTACT_PREFIXES)
-        ]
-        key = function, scenario.name, str(relevant)
+        key = function, scenario.name, str(sorted(settings.items()))
         if key not in self._known:
             self._known[key] = self._called(function, scenario, settings)
         result: Result | PartOutcome = self._known[key]
@@ -139,9 +122,6 @@ def judged(check: ObjectCheck, rollout: Recording) -> PartOutcome:
 
 # --- targets ---------------------------------------------------------------------------------------------------------
 
-NO_ROBOT = "the target gives no geoms of a robot, so it has no foot"
-"""Reason why checks of a foot do not apply to settings without a model."""
-
 NO_IMPACT = (
     "the target gives no impact constant: its contacts are critically damped or stiffer"
 )
@@ -185,7 +165,6 @@ class AppliedCheck:
             reality=check.reality,
             verdict=SanityVerdict.NOT_MEASURED,
             remark=reason,
-            is_own=Need.FOOT in check.needs,
         )
 
     def result(self) -> SanityResult:
@@ -226,20 +205,17 @@ def applied_check(
     measurements: Measurements, configuration: TrainingConfiguration, name: str
 ) -> AppliedCheck:
     """Return a check of measured objects, by its id, with the sets of contact constants that it applies to."""
-    check = own_check = object_check(name)
-    foot = configuration.foot_geometry
-    if foot is not None and Need.FOOT in check.needs:
-        own_check = object_check(name, foot)
+    check = object_check(name)
     try:
-        for need in check.all_needs:
+        for need in (Need.GRAVITY, Need.CONTACT, *check.needs):
             if need in configuration.inapplicable:
                 raise NotApplicableError(configuration.inapplicable[need])
         sets = _sets_of(configuration, check)
         if Need.REBOUND in check.needs:
-            sets = _bouncing(measurements, own_check.scenario, sets)
+            sets = _bouncing(measurements, check.scenario, sets)
     except NotApplicableError as error:
         return AppliedCheck(measurements, check, {}, inapplicable=str(error))
-    return AppliedCheck(measurements, own_check, sets)
+    return AppliedCheck(measurements, check, sets)
 
 
 def _bouncing(measurements: Measurements, scenario: Scenario, sets: Sets) -> Sets:
@@ -261,17 +237,7 @@ def _sets_of(configuration: TrainingConfiguration, check: ObjectCheck) -> Sets:
     Raises:
         NotApplicableError: There is none; the message is the reason.
     """
-    contacts = configuration.of_hand if check.id in GRASP else configuration
-    sets: Sets = contacts.contact_sets
-    if Need.FOOT in check.needs:
-        foot = configuration.foot_geometry
-        if foot is None:
-            raise NotApplicableError(NO_ROBOT)
-        sets = {geoms: sets[geoms] for geoms in sets if geoms in foot.sets}
-        if not sets:
-            raise NotApplicableError("the chosen geoms are no foot on the ground")
-    if not check.touches:
-        sets = dict([*sets.items()][:1])
+    sets: Sets = configuration.contact_sets
     if Need.FRICTION in check.needs:
         named = "; ".join(sets) or "the target"
         sets = {geoms: sets[geoms] for geoms in sets if sets[geoms].get("condim") != 1}

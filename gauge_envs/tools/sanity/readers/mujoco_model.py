@@ -25,18 +25,16 @@ from gauge_envs.backends.mujoco.versions import sparse_advice
 from gauge_envs.errors import TargetError
 from gauge_envs.scene import Vector
 from gauge_envs.scene.geometry import FloatArray, IntArray, vector
-from gauge_envs.tools.sanity.readers.mujoco_foot import read_foot
 from gauge_envs.tools.sanity.readers.settings import check_settings
 from gauge_envs.tools.sanity.robot.robot import (
     Robot,
     free_balls,
     geom_name,
-    grasping_pairs,
     listed,
     never_touches,
     switched_off,
 )
-from gauge_envs.tools.sanity.robot.standing import NoFootError, find_standing
+from gauge_envs.tools.sanity.robot.standing import find_standing
 from gauge_envs.tools.sanity.training import ContactGroup, Need, TrainingConfiguration
 
 
@@ -70,14 +68,7 @@ def mujoco_configuration(
     check_settings("mujoco", settings)
     inapplicable = _inapplicable(model, groups)
     robot = Robot(model=model, pairs=pairs, up=up, spec=spec, pair=pair, file=file)
-    try:
-        on_feet = replace(robot, standing=find_standing(robot))
-        foot, robot = read_foot(on_feet, groups), on_feet
-        # A robot that walks against a loose body has no hand.
-        groups = tuple(replace(group, is_held=False) for group in groups)
-    except NoFootError as error:
-        foot = None
-        inapplicable[Need.FOOT] = str(error)
+    robot = replace(robot, standing=find_standing(robot))
     if Need.CONTACT not in inapplicable and never_touches(robot):
         inapplicable[Need.CONTACT] = (
             "the robot is fixed to the world and touches nothing in 200 random poses"
@@ -96,7 +87,6 @@ def mujoco_configuration(
         inapplicable=inapplicable,
         up=up,
         is_model=True,
-        foot_geometry=foot,
         language="mjcf",
         robot=robot,
     )
@@ -169,14 +159,13 @@ def _groups(
     Groups with the constants `used` are in use, and with `all_on_ground` all groups of the first kind. Groups of free
     balls alone are not: balls roll and bounce where the objects of the experiments rest and slide.
     """
-    grasped = all_on_ground * grasping_pairs(model, pairs)
-    keys = np.column_stack([pairs.kinds, grasped, pairs.constants])
+    keys = np.column_stack([pairs.kinds, pairs.constants])
     _, inverse = np.unique(keys, axis=0, return_inverse=True)
     groups = []
     for number in range(inverse.max() + 1):
         rows = np.flatnonzero(inverse == number)
         constants = pairs.constants[rows[0]]
-        kind, grasp = pairs.kinds[rows[0]], grasped[rows[0]]
+        kind = pairs.kinds[rows[0]]
         rolls = free_balls(model)[pairs.geoms[rows]].any(axis=1).all()
         same = effective_constants(model, constants) == effective_constants(model, used)
         named = {
@@ -191,7 +180,6 @@ def _groups(
                 same.all()
                 or (all_on_ground and kind == pairs.kinds.min() and not rolls)
             ),
-            is_held=bool(grasp),
             settings=contact_settings(model, constants),
         )
         groups.append(((kind, -len(rows), number), group))

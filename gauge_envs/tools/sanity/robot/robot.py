@@ -63,14 +63,14 @@ class Standing:
         body: First moving body of the robot.
         height_m: Height of the robot [m].
         ground_m: Height of its lowest point [m].
-        support_m: Lowest point of each geom that can touch the ground [m].
+        support_m: Height of the lowest point of each geom that can touch the ground [m].
         feet: Geoms of each foot, by its body.
     """
 
     body: int
     height_m: float
     ground_m: float
-    support_m: Mapping[int, FloatArray]
+    support_m: Mapping[int, float]
     feet: Mapping[int, list[int]]
 
 
