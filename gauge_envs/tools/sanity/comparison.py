@@ -3,7 +3,7 @@
 Example:
     >>> from gauge_envs.tools.sanity import check
     >>> from gauge_envs.tools.sanity.comparison import difference
-    >>> reports = [check(target, only=["rebound"]) for target in ("mujoco", "mujoco")]
+    >>> reports = [check(target, only=["rest-height"]) for target in ("mujoco", "mujoco")]
     >>> [check.is_changed for check in difference(*reports).checks]
     [False]
 """

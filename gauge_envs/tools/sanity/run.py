@@ -10,16 +10,12 @@ from gauge_envs.tools.sanity.accepted import accept
 from gauge_envs.tools.sanity.causes import absorb
 from gauge_envs.tools.sanity.fixes.fix import FixSearch
 from gauge_envs.tools.sanity.fixes.named import with_fix
-from gauge_envs.tools.sanity.object_checks.measure import (
-    Measurements,
-    applied_check,
-)
+from gauge_envs.tools.sanity.object_checks.measure import Measurements
 from gauge_envs.tools.sanity.readers import configuration as configuration_of
 from gauge_envs.tools.sanity.readers.gymnasium_env import Target
 from gauge_envs.tools.sanity.report import screen_text
 from gauge_envs.tools.sanity.robot.robot import mujoco_warnings
-from gauge_envs.tools.sanity.selection import selection
-from gauge_envs.tools.sanity.target_checks import TARGET_CHECKS
+from gauge_envs.tools.sanity.selection import check_result, selection
 from gauge_envs.tools.sanity.training import TrainingConfiguration
 from gauge_envs.tools.sanity.verdict import Report, SanityResult
 
@@ -52,11 +48,7 @@ def check(
     measurements = Measurements(configuration.backend)
     results = []
     for name in chosen:
-        if name in TARGET_CHECKS:
-            results.append(TARGET_CHECKS[name].result(configuration))
-        else:
-            applied = applied_check(measurements, configuration, name)
-            results.append(applied.result())
+        results.append(check_result(measurements, configuration, name))
         if notify is not None:
             notify(results[-1])
     results = absorb(accept(results, configuration))

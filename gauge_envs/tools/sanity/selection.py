@@ -1,11 +1,14 @@
-"""Ids of all checks in their order, and their choice by patterns."""
+"""All checks in their order: their choice by patterns, and the result of one."""
 
 from collections.abc import Sequence
 from fnmatch import fnmatchcase
 
 from gauge_envs.errors import UnknownNameError
 from gauge_envs.tools.sanity.object_checks import OBJECT_CHECKS
+from gauge_envs.tools.sanity.object_checks.measure import Measurements, object_result
 from gauge_envs.tools.sanity.target_checks import TARGET_CHECKS
+from gauge_envs.tools.sanity.training import TrainingConfiguration
+from gauge_envs.tools.sanity.verdict import SanityResult
 
 
 def selection(only: Sequence[str] = ()) -> tuple[str, ...]:
@@ -27,3 +30,12 @@ def selection(only: Sequence[str] = ()) -> tuple[str, ...]:
         for name in known
         if any(fnmatchcase(name, pattern) for pattern in patterns)
     )
+
+
+def check_result(
+    measurements: Measurements, configuration: TrainingConfiguration, name: str
+) -> SanityResult:
+    """Return the result of a check for a target, by its id."""
+    if name in TARGET_CHECKS:
+        return TARGET_CHECKS[name].result(configuration)
+    return object_result(measurements, configuration, name)

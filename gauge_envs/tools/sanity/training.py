@@ -22,8 +22,6 @@ class Need(StrEnum):
     FRICTION = "friction"
     SPACE = "space"
     """Motion in space, not in a plane along an axis of the world."""
-    REBOUND = "rebound"
-    """A restitution."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -24,9 +24,6 @@ WORSE_BY = 1.0
 COVERAGE = 0.95
 """Share of further real trials that the interval of a measured quantity covers."""
 
-RECORDING_FACTOR = 2.0
-"""Half-width of the interval of a single recording, in standard uncertainties."""
-
 
 class SanityVerdict(StrEnum):
     """Distance between a measured value and reality, in half-widths of the interval of reality."""
@@ -110,19 +107,13 @@ class Reality:
 
         Args:
             value: Mean of the trials.
-            scatter: Standard deviation of the trials; for one trial, the standard uncertainty of its measurement.
-            trial_count: Number of trials.
+            scatter: Standard deviation of the trials.
+            trial_count: Number of trials, two or more.
             source: Source of the trials.
         """
-        if trial_count == 1:
-            factor, rationale = (
-                RECORDING_FACTOR,
-                "two standard uncertainties of one recording",
-            )
-        else:
-            quantile = student_t(trial_count - 1, COVERAGE)
-            factor = quantile * (1.0 + 1.0 / trial_count) ** 0.5
-            rationale = f"covers {COVERAGE:.0%} of further trials, from the scatter of {trial_count} trials"
+        quantile = student_t(trial_count - 1, COVERAGE)
+        factor = quantile * (1.0 + 1.0 / trial_count) ** 0.5
+        rationale = f"covers {COVERAGE:.0%} of further trials, from the scatter of {trial_count} trials"
         return cls(
             value,
             factor * scatter,
@@ -235,7 +226,7 @@ class Fix:
 
     Attributes:
         changes: Changed settings with their new values.
-        line: The change in the target's language, and what it resolves.
+        line: The change in the target's language.
         flag_count: Number of failed checks and warnings before the change.
         fixed: Value of each of these checks that passes after the change; None where it was not measured.
         lines: The change as lines of a diff, which start with `- ` or `+ `.

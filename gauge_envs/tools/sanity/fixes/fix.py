@@ -10,7 +10,6 @@ from typing import Any
 
 from gauge_envs.errors import GaugeError
 from gauge_envs.names import first_names
-from gauge_envs.pages.text import counted
 from gauge_envs.tools.sanity.fixes.candidates import candidates_of
 from gauge_envs.tools.sanity.fixes.change import applied
 from gauge_envs.tools.sanity.fixes.harm import (
@@ -20,12 +19,9 @@ from gauge_envs.tools.sanity.fixes.harm import (
 )
 from gauge_envs.tools.sanity.fixes.text_change import write_change
 from gauge_envs.tools.sanity.object_checks import object_check
-from gauge_envs.tools.sanity.object_checks.measure import (
-    Measurements,
-    applied_check,
-    worst_of,
-)
+from gauge_envs.tools.sanity.object_checks.measure import Measurements
 from gauge_envs.tools.sanity.readers import dialect
+from gauge_envs.tools.sanity.selection import check_result
 from gauge_envs.tools.sanity.target_checks import TARGET_CHECKS
 from gauge_envs.tools.sanity.training import Settings, TrainingConfiguration
 from gauge_envs.tools.sanity.verdict import (
@@ -124,17 +120,12 @@ class FixSearch:
         """Return the outcome of a check after changes."""
         key = str(sorted(changes.items())), name
         if key not in self._known:
-            self._known[key] = self._measure(self._changed(changes), name)
+            changed = self._changed(changes)
+            self._known[key] = PartOutcome(verdict=SanityVerdict.NOT_MEASURED)
+            if changed is not None:
+                result = check_result(self.measurements, changed, name)
+                self._known[key] = _outcome_of(result)
         return self._known[key]
-
-    def _measure(self, changed: TrainingConfiguration | None, name: str) -> PartOutcome:
-        unmeasured = PartOutcome(verdict=SanityVerdict.NOT_MEASURED)
-        if changed is None:
-            return unmeasured
-        if name in TARGET_CHECKS:
-            return _outcome_of(TARGET_CHECKS[name].result(changed))
-        outcomes = applied_check(self.measurements, changed, name).outcomes()
-        return worst_of(outcomes)[1] if outcomes else unmeasured
 
     def _resolves(self, changes: Settings, name: str) -> bool:
         return self._outcome(changes, name).verdict is SanityVerdict.PASSED
@@ -188,12 +179,12 @@ class FixSearch:
         return smallest
 
     def _fix(self, changes: Settings) -> Fix:
-        """Return a change with what each of its settings resolves alone."""
+        """Return a change as text, with what it resolves."""
         resolved = self._resolved(changes)
-        pasted, effect = self.dialect.paste_text(changes), self._effect(resolved)
+        pasted = self.dialect.paste_text(changes)
         fix = Fix(
             changes=changes,
-            line=f"{pasted}: {effect}",
+            line=pasted,
             flag_count=len(self._flags),
             fixed={name: self._outcome(changes, name).value for name in resolved},
         )
@@ -208,18 +199,10 @@ class FixSearch:
         also = f", also in {first_names(hidden)}" if hidden else ""
         return replace(
             fix,
-            line=f"{' and '.join(added) or pasted}{also}: {effect}",
+            line=f"{' and '.join(added) or pasted}{also}",
             lines=tuple(lines),
             speed_ratio=speed_ratio(robot, changed.robot),
         )
-
-    # --- texts -------------------------------------------------------------------------------------------------------
-
-    def _effect(self, resolved: Sequence[str]) -> str:
-        """Return how many checks are resolved, and which are not, as a text."""
-        text = f"resolves {counted(len(resolved), 'check')}"
-        failing = [name for name in self._flags if name not in resolved]
-        return f"{text}, not {', '.join(failing)}" if failing and resolved else text
 
 
 OWN_CONTACTS = ("foot-creep", "grasp-creep")

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import cache, partial
 
-from gauge_envs.tools.sanity.object_checks import friction, rigid
+from gauge_envs.tools.sanity.object_checks import friction
 from gauge_envs.tools.sanity.object_checks.check import ObjectCheck
 
 OBJECT_CHECKS: Mapping[str, Callable[[], ObjectCheck]] = {
@@ -18,7 +18,6 @@ OBJECT_CHECKS: Mapping[str, Callable[[], ObjectCheck]] = {
     "slide-plastic": partial(friction.slide, "plastic"),
     "slide-metal": partial(friction.slide, "metal"),
     "slide-turned": partial(friction.turned_slide, "wood"),
-    "rebound": rigid.rebound,
 }
 """Functions that make the checks, by id, in their order."""
 

@@ -153,8 +153,7 @@ class ObjectCheck:
         unit: Unit of the number; `1` for a pure number.
         reality: Value and scatter for real objects.
         value: Function that measures the number in a rollout of the scenario.
-        failure: Function that returns a failure that no real trial shows, independent of the number; empty for none.
-        needs: What a target must have in addition to gravity and contacts.
+        needs: What a target must have in addition to gravity, contacts and friction.
         id: Stable name, which the list of checks gives.
     """
 
@@ -163,7 +162,6 @@ class ObjectCheck:
     unit: str
     reality: Reality
     value: Callable[[Recording], float]
-    failure: Callable[[Recording], str] = lambda rollout: ""
     needs: tuple[Need, ...] = ()
     id: str = ""
 

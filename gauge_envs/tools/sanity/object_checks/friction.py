@@ -79,7 +79,7 @@ def _downhill(
         moved_mm = 1e3 * moved_m(rollout, *CUBE)
         return motion(rollout.times_s[part], moved_mm[part, 0])
 
-    return ObjectCheck(title, scenario, unit, reality, value, needs=(Need.FRICTION,))
+    return ObjectCheck(title, scenario, unit, reality, value)
 
 
 # --- holding ---------------------------------------------------------------------------------------------------------
@@ -118,7 +118,6 @@ def rest_height(material: str) -> ObjectCheck:
         "mm",
         rigid_law("rigid bodies touch", 0.5, "the edge of 50 mm of the cube"),
         lambda rollout: _gaps_mm(rollout)[rollout.between(SETTLED_S, HOLD_S)].mean(),
-        needs=(Need.FRICTION,),
     )
 
 
@@ -180,7 +179,7 @@ def turned_slide(material: str) -> ObjectCheck:
         scenario=replace(
             straight.scenario, name=f"slide-turned-{material}", given=scene
         ),
-        needs=(Need.FRICTION, Need.SPACE),
+        needs=(Need.SPACE,),
         reality=Reality(
             scene.gravity_m_per_s2 * float(push),
             straight.reality.tolerance,

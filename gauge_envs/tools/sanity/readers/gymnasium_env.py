@@ -14,7 +14,6 @@ import numpy as np
 from gauge_envs.backends import Simulation
 from gauge_envs.envs.env import GaugeEnv
 from gauge_envs.errors import MissingExtraError, NoRewardWarning, TargetError
-from gauge_envs.scene import ContactMode
 from gauge_envs.tools.sanity.readers.mjcf import GeomPair, model_name, read_model
 from gauge_envs.tools.sanity.readers.mujoco_model import mujoco_configuration
 from gauge_envs.tools.sanity.robot.robot import mujoco_warnings
@@ -141,22 +140,17 @@ def _suite_configuration(
     settings.pop("drive_interval_s", None)
     scene = env.experiment.scene
     rigid = {body.name for body in scene.bodies}
-    modes = {
-        contact.mode
+    touches = any(
+        rigid.intersection(contact.first) and rigid.intersection(contact.second)
         for contact in scene.contacts
-        if rigid.intersection(contact.first) and rigid.intersection(contact.second)
-    }
-    inapplicable = {}
-    if not modes:
-        inapplicable[Need.CONTACT] = "no rigid bodies touch in its scene"
-    if modes <= {ContactMode.SUSTAINED}:
-        inapplicable[Need.REBOUND] = "nothing rebounds in its scene"
+    )
+    reason = {Need.CONTACT: "no rigid bodies touch in its scene"}
     return TrainingConfiguration(
         name=name,
         source="environment of this suite",
         backend=env.arguments.backend,
         settings=settings,
-        inapplicable=inapplicable,
+        inapplicable={} if touches else reason,
     )
 
 
