@@ -20,6 +20,7 @@ from gauge_envs.pages.text import digits_text
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.sanity.fixes.candidates import candidates_of, keeps_recipe
 from gauge_envs.tools.sanity.fixes.harm import changes_rebound, motion_harm
+from gauge_envs.tools.sanity.fixes.mjcf_settings import paste_text
 from gauge_envs.tools.sanity.pair_bench import (
     PAIR_FIELDS,
     Bench,
@@ -29,7 +30,6 @@ from gauge_envs.tools.sanity.pair_bench import (
     touch_of,
     touching,
 )
-from gauge_envs.tools.sanity.readers import dialect
 from gauge_envs.tools.sanity.robot.robot import Robot, geom_name, listed
 from gauge_envs.tools.sanity.training import Settings, TrainingConfiguration
 
@@ -390,7 +390,7 @@ def _line_text(
         times = measured.model.opt.timestep / changes["timestep_s"]
         price.append(f"{times:g} times as many steps")
     options = {k: v for k, v in changes.items() if k not in PAIR_FIELDS}
-    lines = [dialect("mjcf").paste_text(options)] if options else []
+    lines = [paste_text(options)] if options else []
     if len(options) < len(changes):
         lines.append(_pair_line(measured.changed(changes).model, names))
     line = f"Best line: {' and '.join(lines)}: {', '.join(mended)}"

@@ -52,14 +52,15 @@ def check(
         if notify is not None:
             notify(results[-1])
     results = absorb(accept(results, configuration))
-    if explain and configuration.robot is not None:
-        results = [with_fix(result, configuration.robot) for result in results]
+    robot = configuration.robot if explain else None
+    if robot is not None:
+        results = [with_fix(result, robot) for result in results]
     report = Report(
         configuration=configuration,
         checks=tuple(results),
         versions={**measurements.versions, **package_versions()},
         asked=tuple(name for name in chosen if name in only),
     )
-    if explain:
-        report = FixSearch(report, measurements).run()
+    if robot is not None:
+        report = FixSearch(report, robot, measurements).run()
     return replace(report, screen=screen_text(report))

@@ -57,8 +57,6 @@ class TrainingConfiguration:
         warnings: MuJoCo's warnings on the user's file, which are shown even where all checks pass.
         inapplicable: Needs of checks that the target does not meet, with the reason.
         up: Unit vector away from the ground, shape [3].
-        is_model: Whether it was read from a MuJoCo model, for which this package recommends settings as a whole.
-        language: Name of the dialect in which changes are written; see `gauge_envs.tools.sanity.readers`.
         robot: The target's own model, which JSON leaves out; None when it is unknown.
     """
 
@@ -71,8 +69,6 @@ class TrainingConfiguration:
     warnings: tuple[str, ...] = ()
     inapplicable: Mapping[Need, str] = field(default_factory=dict)
     up: Vector = (0.0, 0.0, 1.0)
-    is_model: bool = False
-    language: str = "toml"
     robot: Robot | None = field(default=None, compare=False)
 
     @property

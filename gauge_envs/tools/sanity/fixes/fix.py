@@ -17,10 +17,11 @@ from gauge_envs.tools.sanity.fixes.harm import (
     motion_harm,
     speed_ratio,
 )
+from gauge_envs.tools.sanity.fixes.mjcf_settings import paste_text
 from gauge_envs.tools.sanity.fixes.text_change import write_change
 from gauge_envs.tools.sanity.object_checks import object_check
 from gauge_envs.tools.sanity.object_checks.measure import Measurements
-from gauge_envs.tools.sanity.readers import dialect
+from gauge_envs.tools.sanity.robot.robot import Robot
 from gauge_envs.tools.sanity.selection import check_result
 from gauge_envs.tools.sanity.target_checks import TARGET_CHECKS
 from gauge_envs.tools.sanity.training import Settings, TrainingConfiguration
@@ -38,14 +39,16 @@ class FixSearch:
     """Searches the smallest change of settings that resolves most checks without harm, by trial.
 
     Args:
-        report: Report of all checks.
+        report: Report of all checks of a model.
+        robot: The model.
         measurements: Measurements on the engine of the checks.
     """
 
-    def __init__(self, report: Report, measurements: Measurements) -> None:
-        self.report, self.measurements = report, measurements
-        self.configuration = configuration = report.configuration
-        self.dialect = dialect(configuration.language)
+    def __init__(
+        self, report: Report, robot: Robot, measurements: Measurements
+    ) -> None:
+        self.report, self.robot, self.measurements = report, robot, measurements
+        self.configuration = report.configuration
         changeable = [
             result
             for result in report.checks
@@ -154,14 +157,10 @@ class FixSearch:
     def _harms(self, changes: Settings) -> bool:
         """Return whether a change makes a check worse, or the model or sliding bodies jump."""
         changed = self._changed(changes)
-        if changed is None:
+        if changed is None or contact_harm(self.configuration, changed):
             return True
-        if changed.backend == "mujoco" and contact_harm(self.configuration, changed):
-            return True
-        robot = self.configuration.robot
-        if robot and changed.robot and motion_harm(robot, changed.robot):
-            return True
-        return any(
+        assert changed.robot is not None, "a model stays one"
+        return motion_harm(self.robot, changed.robot) or any(
             _is_worse(before, self._outcome(changes, name))
             for name, before in self._before.items()
         )
@@ -180,28 +179,19 @@ class FixSearch:
 
     def _fix(self, changes: Settings) -> Fix:
         """Return a change as text, with what it resolves."""
-        resolved = self._resolved(changes)
-        pasted = self.dialect.paste_text(changes)
-        fix = Fix(
+        changed, resolved = self._changed(changes), self._resolved(changes)
+        assert changed is not None and changed.robot is not None, "it was applied"
+        text, hidden = write_change(self.robot, changes)
+        lines = [] if text is None else text.diff
+        added = [line[2:] for line in lines if line.startswith("+")]
+        also = f", also in {first_names(hidden)}" if hidden else ""
+        return Fix(
             changes=changes,
-            line=pasted,
+            line=f"{' and '.join(added) or paste_text(changes)}{also}",
             flag_count=len(self._flags),
             fixed={name: self._outcome(changes, name).value for name in resolved},
-        )
-        robot, changed = self.configuration.robot, self._changed(changes)
-        if robot is None or changed is None or changed.robot is None:
-            return fix
-        text, hidden = write_change(robot, self.dialect, changes)
-        lines, added = [], []
-        if text is not None:
-            lines = text.diff
-            added = [line[2:] for line in lines if line.startswith("+")]
-        also = f", also in {first_names(hidden)}" if hidden else ""
-        return replace(
-            fix,
-            line=f"{' and '.join(added) or pasted}{also}",
             lines=tuple(lines),
-            speed_ratio=speed_ratio(robot, changed.robot),
+            speed_ratio=speed_ratio(self.robot, changed.robot),
         )
 
 

@@ -86,8 +86,6 @@ def mujoco_configuration(
         notes=tuple(filter(None, [sparse_advice(model)])),
         inapplicable=inapplicable,
         up=up,
-        is_model=True,
-        language="mjcf",
         robot=robot,
     )
 
