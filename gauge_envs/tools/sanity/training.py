@@ -31,14 +31,12 @@ class ContactGroup:
     Attributes:
         geoms: Description of the geoms, such as `floor with torso, bthigh and 6 more`.
         pair_count: Number of pairs of geoms.
-        constants: Effective constants of a contact by MuJoCo's names: `condim`, `friction`, `solref`, ...
         is_used: Whether the experiments run with these constants.
         settings: Settings of the backend that give all contacts these constants.
     """
 
     geoms: str
     pair_count: int
-    constants: Settings
     is_used: bool = False
     settings: Settings = field(default_factory=dict)
 

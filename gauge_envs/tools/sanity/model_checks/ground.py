@@ -28,7 +28,6 @@ from gauge_envs.tools.sanity.robot.robot import (
     Standing,
     chain_of,
     geom_name,
-    joints_of,
     switched_off,
 )
 from gauge_envs.tools.sanity.robot.standing import SOLE_WITHIN, support_m
@@ -88,10 +87,6 @@ def floor_m(robot: Robot) -> float:
 def feet(robot: Robot) -> Finding:
     """Return the number of limbs that reach the ground and cannot touch it."""
     model = robot.model
-    if (plane := _untouched_plane(robot)) is not None:
-        text = f"no geom of the robot can touch {geom_name(model, plane)}: it falls through it"
-        place = ("geom", plane)
-        return Finding(value=1.0, remark=text, place=place, deviation=math.inf)
     standing = standing_of(robot)
     lows = standing.support_m
     within_m = SOLE_WITHIN * standing.height_m
@@ -119,20 +114,6 @@ def feet(robot: Robot) -> Finding:
         place=("geom", next(iter(lame.values()))),
         parts=dict.fromkeys(names, 1.0),
     )
-
-
-def _untouched_plane(robot: Robot) -> int | None:
-    """Return the plane of the world that no geom of a free robot with motors can touch; None without one."""
-    model = robot.model
-    is_floor = model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE
-    is_floor &= (model.geom_contype | model.geom_conaffinity) != 0
-    floors = np.flatnonzero(is_floor & (model.geom_bodyid == 0)).tolist()
-    is_free = joints_of(model, "FREE") & np.isin(model.jnt_bodyid, robot.bodies)
-    falls = model.opt.gravity.any() and not switched_off(model, "gravity", "contact")
-    is_touched = np.isin(robot.pairs.geoms, floors).any()
-    if is_touched or not (floors and is_free.any() and falls and drives(robot)):
-        return None
-    return int(floors[0])
 
 
 # --- friction --------------------------------------------------------------------------------------------------------

@@ -6,10 +6,9 @@ from pathlib import Path
 
 from gauge_envs.errors import TargetError
 from gauge_envs.files import is_folder
-from gauge_envs.reading import faults_of
+from gauge_envs.reading import faults_of, reading
 from gauge_envs.text import toml_document
 from gauge_envs.tools.sanity.readers import probe, settings
-from gauge_envs.tools.sanity.readers.documents import file_value
 from gauge_envs.tools.sanity.readers.gymnasium_env import (
     SUITE,
     Target,
@@ -27,7 +26,8 @@ __all__ = ["configuration"]
 
 def _read_toml(path: Path, pair: GeomPair | None) -> TrainingConfiguration:
     """Return the configuration of a settings file or a task file."""
-    values = file_value(path, toml_document)
+    with reading(path, TargetError) as content:
+        values = toml_document(content)
     if "family" in values:
         return read_task(path)
     return settings.read_settings(path, values)

@@ -11,7 +11,8 @@ from pathlib import Path
 import mujoco
 
 from gauge_envs.errors import TargetError
-from gauge_envs.tools.sanity.readers.documents import file_text
+from gauge_envs.reading import reading
+from gauge_envs.text import filled_text
 from gauge_envs.tools.sanity.readers.gauge_probe import mjcf_root
 from gauge_envs.tools.sanity.readers.mjcf_errors import sentence
 from gauge_envs.tools.sanity.readers.mujoco_model import mujoco_configuration
@@ -27,7 +28,8 @@ def read_model_file(path: Path, pair: GeomPair | None = None) -> TrainingConfigu
     Raises:
         TargetError: MuJoCo cannot load it; the message has the file, the line and what to do.
     """
-    text = file_text(path)
+    with reading(path, TargetError) as content:
+        text = filled_text(content)
     try:
         with warnings.catch_warnings(record=True, action="always") as caught:
             if path.suffix == ".mjcf":

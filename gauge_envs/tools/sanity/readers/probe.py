@@ -13,8 +13,8 @@ from pathlib import Path
 import mujoco
 
 from gauge_envs.errors import TargetError
+from gauge_envs.reading import reading
 from gauge_envs.text import json_document
-from gauge_envs.tools.sanity.readers.documents import file_value
 from gauge_envs.tools.sanity.readers.gauge_probe import FORMAT, VERSION
 from gauge_envs.tools.sanity.readers.mjcf import GeomPair
 from gauge_envs.tools.sanity.readers.mujoco_model import mujoco_configuration
@@ -28,7 +28,8 @@ def read_file(path: Path, pair: GeomPair | None = None) -> TrainingConfiguration
     Raises:
         TargetError: The file is none of the kinds, or of another version of the probe.
     """
-    file = file_value(path, json_document)
+    with reading(path, TargetError) as content:
+        file = json_document(content)
     if not isinstance(file, dict) or "format" not in file:
         return read_settings(path, file)
     if (file["format"], file.get("version")) != (FORMAT, VERSION):

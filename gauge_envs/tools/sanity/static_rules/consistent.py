@@ -524,7 +524,9 @@ def touch(robot: Robot) -> Iterator[Fault]:
     fixed = model.body_weldid[model.geom_bodyid] == 0
     if not (solid & fixed).any() or not model.opt.gravity.any():
         return
-    stopped = np.unique(model.body_treeid[model.geom_bodyid[pairs.geoms]])
+    ends = model.body_treeid[model.geom_bodyid[pairs.geoms]]
+    # Parts of a robot that touch each other do not stop it.
+    stopped = np.unique(ends[ends[:, 0] != ends[:, 1]])
     moved = robot.driven_trees
     for body in unheld(model):
         tree = model.body_treeid[body]
@@ -535,5 +537,5 @@ def touch(robot: Robot) -> Iterator[Fault]:
         if is_marker or tree in stopped or model.body_gravcomp[body]:
             continue
         name = name_of(model, "body", body)
-        text = f"{name} is free and none of its geoms can touch anything: it falls through the floor"
+        text = f"{name} is free and none of its geoms can touch another body: it falls through the floor"
         yield Fault(("body", body), name, text, is_error=True)
