@@ -15,6 +15,7 @@ import numpy as np
 from gauge_envs.backends.mujoco.contact_table import COLUMNS, can_move, contact_pairs
 from gauge_envs.backends.mujoco.options import overrides_contacts
 from gauge_envs.errors import UnknownNameError
+from gauge_envs.names import first_names
 from gauge_envs.pages.document import Paragraph, Part, Tone
 from gauge_envs.pages.table import Table, grid
 from gauge_envs.pages.text import digits_text
@@ -34,7 +35,6 @@ from gauge_envs.tools.sanity.pair_bench import (
 from gauge_envs.tools.sanity.robot.robot import (
     Robot,
     geom_name,
-    listed,
     mujoco_warnings,
 )
 from gauge_envs.tools.sanity.training import Settings, TrainingConfiguration
@@ -239,7 +239,7 @@ def _touching_row(
     measured = _bench(robot, pairs[0], forces_n)
     texts = {value.name: _value_text(value) for value in measured.values()}
     sides = [
-        listed([geom_name(robot.model, geom) for geom in dict.fromkeys(side)])
+        first_names([geom_name(robot.model, geom) for geom in dict.fromkeys(side)], 4)
         for side in zip(*pairs, strict=True)
     ]
     friction = f"{digits_text(measured.friction)}, {_rule(robot, pairs[0])}"

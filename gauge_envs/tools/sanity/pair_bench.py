@@ -207,30 +207,37 @@ class Bench:
 
     def values(self) -> list[Value]:
         """Return what follows from the contact, each with its law; friction is left out for a contact without."""
-        values = list[Value]()
-
-        def add(
-            name: str, value: float, unit: str, law: float | None, width: float
-        ) -> None:
-            values.append(Value(name, value, unit, law, width))
-
         rebound, ratios = self.impacts()
-        if self.friction:
-            own = self.touch.pull_n / (self.friction * self.touch.load_n)
-            shares = {f"at {share:g} of the limit": share for share in SHARES}
-            for name, share in {"in the run": min(own, SHARES[0]), **shares}.items():
-                speed = self.creep_um_per_s(share)
-                add(f"creep {name}", speed, "um/s", 0.0, 100.0)
-            for angle_deg in (0.0, 45.0):
-                name = f"slide at {angle_deg:g} degrees over Coulomb"
-                add(name, self._slide(math.radians(angle_deg)), "", 1.0, 0.03)
-            for speed in (1.0, FAST_M_PER_S):
-                add(f"hop at {speed:g} m/s", self.hop_mm(speed), "mm", 0.0, 5.0)
-        add("depth under load", 1e6 * self._rest[0], "um", 0.0, 500.0)
-        add("rebound", rebound, "", None, 0.05)
-        for name, ratio in ratios.items() if self.friction else ():
-            add(f"{name} impact over Coulomb", ratio, "", 1.0, 0.1)
-        return values
+        depth = Value("depth under load", 1e6 * self._rest[0], "um", 0.0, 500.0)
+        bounce = Value("rebound", rebound, "", None, 0.05)
+        if not self.friction:
+            return [depth, bounce]
+        own = self.touch.pull_n / (self.friction * self.touch.load_n)
+        shares = {f"at {share:g} of the limit": share for share in SHARES}
+        shares = {"in the run": min(own, SHARES[0]), **shares}
+        creeps = [
+            Value(f"creep {name}", self.creep_um_per_s(share), "um/s", 0.0, 100.0)
+            for name, share in shares.items()
+        ]
+        slides = [
+            Value(
+                f"slide at {angle:g} degrees over Coulomb",
+                self._slide(math.radians(angle)),
+                "",
+                1.0,
+                0.03,
+            )
+            for angle in (0.0, 45.0)
+        ]
+        hops = [
+            Value(f"hop at {speed:g} m/s", self.hop_mm(speed), "mm", 0.0, 5.0)
+            for speed in (1.0, FAST_M_PER_S)
+        ]
+        impacts = [
+            Value(f"{name} impact over Coulomb", ratio, "", 1.0, 0.1)
+            for name, ratio in ratios.items()
+        ]
+        return [*creeps, *slides, *hops, depth, bounce, *impacts]
 
     # --- measurements ------------------------------------------------------------------------------------------------
 

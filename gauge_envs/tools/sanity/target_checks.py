@@ -18,10 +18,8 @@ READ: tuple[ModelCheck, ...] = (
     ground.gravity,
     ground.feet,
     *STATIC_RULES,
-    ground.friction,
     joints.joint_brakes,
     joints.servo_response,
-    joints.free_joint_drag,
 )
 """Checks that simulate nothing."""
 
@@ -42,8 +40,5 @@ RUN: tuple[ModelCheck, ...] = (
 )
 """Checks of runs of the target's own model."""
 
-MODEL_CHECKS = (*READ, *RUN)
-"""Checks of the target's own model."""
-
-TARGET_CHECKS: Mapping[str, ModelCheck] = {check.id: check for check in MODEL_CHECKS}
+TARGET_CHECKS: Mapping[str, ModelCheck] = {check.id: check for check in (*READ, *RUN)}
 """Checks of the target's own model, which run none of the suite's experiments, by their id."""

@@ -19,7 +19,6 @@ class Need(StrEnum):
 
     GRAVITY = "gravity"
     CONTACT = "contact"
-    FRICTION = "friction"
     SPACE = "space"
     """Motion in space, not in a plane along an axis of the world."""
 

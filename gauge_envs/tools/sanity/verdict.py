@@ -227,7 +227,6 @@ class Fix:
     Attributes:
         changes: Changed settings with their new values.
         line: The change in the target's language.
-        flag_count: Number of failed checks and warnings before the change.
         fixed: Value of each of these checks that passes after the change; None where it was not measured.
         lines: The change as lines of a diff, which start with `- ` or `+ `.
         speed_ratio: Simulated time of the target in a second after the change, over that before; None if not measured.
@@ -235,7 +234,6 @@ class Fix:
 
     changes: Settings
     line: str
-    flag_count: int
     fixed: Mapping[str, float | None] = field(default_factory=dict)
     lines: tuple[str, ...] = ()
     speed_ratio: float | None = None

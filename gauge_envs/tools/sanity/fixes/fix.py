@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from heapq import heapify, heappop, heappush
@@ -19,7 +18,6 @@ from gauge_envs.tools.sanity.fixes.harm import (
 )
 from gauge_envs.tools.sanity.fixes.mjcf_settings import paste_text
 from gauge_envs.tools.sanity.fixes.text_change import write_change
-from gauge_envs.tools.sanity.object_checks import object_check
 from gauge_envs.tools.sanity.object_checks.measure import Measurements
 from gauge_envs.tools.sanity.robot.robot import Robot
 from gauge_envs.tools.sanity.selection import check_result
@@ -54,10 +52,12 @@ class FixSearch:
             for result in report.checks
             if result.id not in TARGET_CHECKS or TARGET_CHECKS[result.id].is_simulated
         ]
-        # Short scenes come first, the target's own model last.
+        # The target's own model comes last.
         self._before = {
             result.id: _outcome_of(result)
-            for result in sorted(changeable, key=lambda result: _seconds(result.id))
+            for result in sorted(
+                changeable, key=lambda result: result.id in TARGET_CHECKS
+            )
             if result.is_flag or result.verdict is SanityVerdict.PASSED
         }
         self._flags = [result.id for result in changeable if result.is_flag]
@@ -188,7 +188,6 @@ class FixSearch:
         return Fix(
             changes=changes,
             line=f"{' and '.join(added) or paste_text(changes)}{also}",
-            flag_count=len(self._flags),
             fixed={name: self._outcome(changes, name).value for name in resolved},
             lines=tuple(lines),
             speed_ratio=speed_ratio(self.robot, changed.robot),
@@ -202,13 +201,6 @@ OWN_CONTACTS = ("foot-creep", "grasp-creep")
 def _is_general(name: str) -> bool:
     """Return whether the changes for measured objects may resolve a check."""
     return name not in TARGET_CHECKS or name in OWN_CONTACTS
-
-
-def _seconds(name: str) -> float:
-    """Return the simulated time of a check; infinite on the target's own model."""
-    if name in TARGET_CHECKS:
-        return math.inf
-    return object_check(name).scenario.seconds
 
 
 def _outcome_of(result: SanityResult) -> PartOutcome:

@@ -10,18 +10,14 @@ import numpy as np
 
 from gauge_envs.scene import GRAVITY_M_PER_S2
 from gauge_envs.scene.geometry import FloatArray
-from gauge_envs.tools.sanity.model_checks.check import (
-    Case,
-    Finding,
-    model_check,
-    worst_case,
-)
+from gauge_envs.tools.sanity.model_checks.check import Finding, model_check
 from gauge_envs.tools.sanity.model_checks.drives import (
     drives,
     loads,
     servos,
     start,
 )
+from gauge_envs.tools.sanity.model_checks.rule import Fault, rule
 from gauge_envs.tools.sanity.model_checks.runs import settled
 from gauge_envs.tools.sanity.robot.robot import (
     Robot,
@@ -116,45 +112,6 @@ def feet(robot: Robot) -> Finding:
     )
 
 
-# --- friction --------------------------------------------------------------------------------------------------------
-
-LOW_FRICTION, HIGH_FRICTION = 0.05, 3.0
-"""Friction of feet: wet ice on rubber has 0.05 and more, racing tyres less than 3."""
-
-
-@model_check(
-    "robot-friction",
-    title="friction of a foot, over the limit of real soles",
-    interval=(0.0, 1.0),
-    source="wet ice 0.05, racing tyres below 3",
-    consequence="The foot slips or grips as on no real floor.",
-    is_usual=True,
-)
-def friction(robot: Robot) -> Finding:
-    """Return the foot whose friction most exceeds the limits."""
-    standing_of(robot)
-    return worst_case(
-        case for number in robot.foot_rows for case in _frictions(robot, number)
-    )
-
-
-def _frictions(robot: Robot, number: int) -> Iterator[Case]:
-    model = robot.model
-    condim, met = robot.pairs.constants[number, :2].tolist()
-    met *= condim > 1
-    # The pair is in the order of ids; the foot is on a body of the robot.
-    ground, foot = sorted(
-        robot.pairs.geoms[number].tolist(),
-        key=lambda geom: int(model.geom_bodyid[geom]) in robot.bodies,
-    )
-    name = geom_name(model, foot)
-    ratio = max(LOW_FRICTION / max(met, 1e-9), met / HIGH_FRICTION)
-    text = f"{name} has friction {met:g} on {geom_name(model, ground)}"
-    if condim == 1:
-        text += ", by condim 1"
-    yield Case(ratio, ("geom", foot), name, text, is_usual=True)
-
-
 MIN_GAP_MM = 10.0
 """Height of feet above or in the ground that a remark names [mm]: soft contacts of a standing robot sink by less."""
 
@@ -195,16 +152,15 @@ def hold_pose(robot: Robot) -> tuple[float, FloatArray]:
     return float(heights_m[-1] / max(heights_m[0], 1e-6)), run.forces
 
 
-@model_check(
+@rule(
     "robot-torque",
     title="force that holds a joint, over that of its motor",
-    interval=(0.0, 1.0),
     source="inverse dynamics at rest in the pose of the keyframe; of a robot on feet, the mean torque as it falls",
     consequence="The motors do not hold the robot's own weight.",
     is_simulated=True,
 )
-def holding_force(robot: Robot) -> Finding:
-    """Return the joint whose motor is weakest where the robot rests."""
+def holding_force(robot: Robot) -> Iterator[Fault]:
+    """Yield joints whose motor is too weak where the robot rests."""
     model = robot.model
     limited = [drive for drive in drives(robot) if np.isfinite(drive.limit)]
     if not limited:
@@ -222,13 +178,10 @@ def holding_force(robot: Robot) -> Finding:
         needed = np.minimum(loads(model, data), np.abs(carried))
         limited = [drive for drive in limited if model.nkey or drive.kp]
         verb = "at rest"
-    return worst_case(
-        drive.case(
-            needed[drive.dof] / drive.limit,
-            f"{verb} {drive.name} takes {needed[drive.dof]:.3g} {drive.units[0]}; its motor makes {drive.limit:.3g}",
-        )
-        for drive in limited
-    )
+    for drive in limited:
+        force, unit = needed[drive.dof], drive.units[0]
+        text = f"{verb} {drive.name} takes {force:.3g} {unit}; its motor makes {drive.limit:.3g}"
+        yield from drive.faults(force / drive.limit, text)
 
 
 @model_check(

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
 
+from gauge_envs.pages.text import digits_text
 from gauge_envs.scene import GRAVITY_M_PER_S2
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.sanity.model_checks.check import Finding, model_check
@@ -47,8 +48,7 @@ def foot_creep(robot: Robot) -> Finding:
     standing, model = standing_of(robot), robot.model
     weight_n = float(model.body_subtreemass[standing.body]) * GRAVITY_M_PER_S2
     load_n = np.array([weight_n / len(standing.feet), 0.0])
-    pairs = _pairs(robot, robot.foot_rows)
-    return _creep(robot, pairs, dict.fromkeys(pairs, load_n))
+    return _creep(robot, robot.foot_rows, lambda pair: load_n)
 
 
 @model_check(
@@ -66,44 +66,39 @@ def grasp_creep(robot: Robot) -> Finding:
     rows = np.flatnonzero(grasping_pairs(robot.model, robot.pairs)).tolist()
     if robot.standing is not None or not rows:
         raise NotApplicableError("no arm of the model can grasp a free body")
-    pairs, model = _pairs(robot, rows), robot.model
-    forces_n = {}
-    for pair in pairs:
+    model = robot.model
+
+    def load_n(pair: Pair) -> FloatArray:
         trees = model.body_treeid[model.geom_bodyid[list(pair)]].tolist()
         free = next(tree for tree in trees if tree not in robot.driven_trees)
         weight_n = model.body_subtreemass[model.tree_bodyadr[free]] * GRAVITY_M_PER_S2
-        forces_n[pair] = touching(robot).get(pair, np.array([weight_n, 0.0]))
-    return _creep(robot, pairs, forces_n)
+        return touching(robot).get(pair, np.array([weight_n, 0.0]))
 
-
-def _pairs(robot: Robot, rows: Sequence[int]) -> dict[Pair, FloatArray]:
-    """Return the constants of pairs with friction and different contacts, shape [17], by their geoms."""
-    found: dict[str, tuple[Pair, FloatArray]] = {}
-    for row in rows:
-        first, second = robot.pairs.geoms[row].tolist()
-        constants = robot.pairs.constants[row]
-        links = robot.model.geom_bodyid[[first, second]]
-        weights = robot.model.body_invweight0[links, 0].round(3)
-        if constants[0] >= 3 and can_measure(robot.model, first, second):
-            key = str([*constants.tolist(), *weights.tolist()])
-            found.setdefault(key, ((first, second), constants))
-    return dict([*found.values()][:MAX_PAIRS])
+    return _creep(robot, rows, load_n)
 
 
 def _creep(
-    robot: Robot,
-    pairs: Mapping[Pair, FloatArray],
-    forces_n: Mapping[Pair, FloatArray],
+    robot: Robot, rows: Sequence[int], load_n: Callable[[Pair], FloatArray]
 ) -> Finding:
-    """Return the pair that creeps fastest."""
-    speeds: dict[str, float] = {}
-    worst = Finding(value=0.0)
-    for pair, constants in pairs.items():
-        touch = touch_of(robot, pair, forces_n[pair])
-        speed = 1e-3 * bench(robot, touch, constants).creep_um_per_s(SHARE)
-        name, on = (geom_name(robot.model, g) for g in (touch.moving, touch.fixed))
+    """Return the pair that creeps fastest, of rows of `pairs` with friction and different contacts."""
+    model, speeds, worst = robot.model, dict[str, float](), Finding(value=0.0)
+    pairs: dict[str, int] = {}
+    for row in rows:
+        links = model.geom_bodyid[robot.pairs.geoms[row]]
+        weights = model.body_invweight0[links, 0].round(3)
+        if robot.pairs.constants[row, 0] >= 3:
+            key = str([robot.pairs.constants[row].tolist(), weights.tolist()])
+            pairs.setdefault(key, row)
+    for row in [*pairs.values()][:MAX_PAIRS]:
+        first, second = robot.pairs.geoms[row].tolist()
+        touch = touch_of(robot, (first, second), load_n((first, second)))
+        if not can_measure(model, first, second):
+            continue
+        measured = bench(robot, touch, robot.pairs.constants[row])
+        speed = 1e-3 * measured.creep_um_per_s(SHARE)
+        name, on = (geom_name(model, geom) for geom in (touch.moving, touch.fixed))
         speeds[name] = max(speed, speeds.get(name, 0.0))
         if speed > worst.value:
-            text = f"{name} creeps at {speed:.3g} mm/s on {on}, at {SHARE:g} of its friction limit"
+            text = f"{name} creeps at {digits_text(speed)} mm/s on {on}, at {SHARE:g} of its friction limit"
             worst = Finding(value=speed, place=("geom", touch.moving), remark=text)
     return replace(worst, parts=speeds)

@@ -35,14 +35,13 @@ class Measurements:
         engine: A backend, or the name of an installed one.
 
     Attributes:
-        engine: Name of the engine.
         versions: Versions of the engine's packages.
     """
 
     def __init__(self, engine: Backend | str) -> None:
         self._known: dict[tuple[str, str], Recording | PartOutcome] = {}
         self._backend = backend(engine) if isinstance(engine, str) else engine
-        self.engine, self.versions = self._backend.name, self._backend.versions()
+        self.versions = self._backend.versions()
 
     def measure(self, check: ObjectCheck, settings: Settings) -> PartOutcome:
         """Run a check; an outcome also exists when the scene is unsupported or the rollout diverges."""

@@ -21,15 +21,15 @@ from gauge_envs.backends.mujoco.contact_table import (
 from gauge_envs.backends.mujoco.options import option_settings
 from gauge_envs.backends.mujoco.versions import sparse_advice
 from gauge_envs.errors import TargetError
+from gauge_envs.names import first_names
 from gauge_envs.scene import Vector
 from gauge_envs.scene.geometry import BoolArray, IntArray, vector
-from gauge_envs.tools.sanity.readers.settings import check_settings
 from gauge_envs.tools.sanity.robot.robot import (
     Robot,
     free_balls,
     geom_name,
-    listed,
-    never_touches,
+    joints_of,
+    random_poses,
     switched_off,
 )
 from gauge_envs.tools.sanity.robot.standing import find_standing
@@ -62,11 +62,15 @@ def mujoco_configuration(
         groups = _groups(model, pairs, _used(model, pairs, pair))
         contact = dict(next(group.settings for group in groups if group.is_used))
     settings = options | contact
-    check_settings("mujoco", settings)
     inapplicable = _inapplicable(model, groups)
     robot = Robot(model=model, pairs=pairs, up=up, spec=spec, pair=pair, file=file)
     robot = replace(robot, standing=find_standing(robot))
-    if Need.CONTACT not in inapplicable and never_touches(robot):
+    is_fixed = robot.standing is None and not joints_of(model, "FREE", "BALL").any()
+    if (
+        Need.CONTACT not in inapplicable
+        and is_fixed
+        and not any(data.ncon for data in random_poses(model, poses=200))
+    ):
         inapplicable[Need.CONTACT] = (
             "the robot is fixed to the world and touches nothing in 200 random poses"
         )
@@ -160,6 +164,9 @@ def _groups(
     return tuple(group for _, group in sorted(groups))
 
 
+MAX_GEOMS = 4
+"""Largest number of geoms that a text lists; further ones are counted."""
+
 # --- names -----------------------------------------------------------------------------------------------------------
 
 
@@ -167,7 +174,7 @@ def _geoms_text(model: mujoco.MjModel, geoms: IntArray) -> str:
     """Return names of pairs of geoms: those that are fixed with those that move, or these with each other."""
     moves = can_move(model)[geoms]
     sides = [
-        listed([geom_name(model, geom) for geom in np.unique(side).tolist()])
+        first_names([geom_name(model, geom) for geom in np.unique(side)], MAX_GEOMS)
         for side in (geoms[~moves], geoms[moves])
         if len(side)
     ]

@@ -100,19 +100,15 @@ def support_m(robot: Robot, geom: int) -> float:
     aside = float(np.hypot(*down[:2]))
     # The support function of each shape; a sphere is a capsule without length.
     depths = {
-        "CYLINDER": a * aside + b * abs(down[2]),
-        "ELLIPSOID": np.linalg.norm(size * down),
-        "BOX": size @ np.abs(down),
+        "mjGEOM_CYLINDER": a * aside + b * abs(down[2]),
+        "mjGEOM_ELLIPSOID": np.linalg.norm(size * down),
+        "mjGEOM_BOX": size @ np.abs(down),
     }
-    depth_m = depths.get(geom_kind(model, geom), a + b * abs(down[2]))
-    if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_MESH:
+    kind = mujoco.mjtGeom(int(model.geom_type[geom])).name
+    depth_m = depths.get(kind, a + b * abs(down[2]))
+    if kind == "mjGEOM_MESH":
         depth_m = (mesh_vertices_m(model, geom) @ down).max()
     return float(stance.positions_m[geom, 2] - depth_m)
-
-
-def geom_kind(model: mujoco.MjModel, geom: int) -> str:
-    """Return the type of a geom, such as `SPHERE`."""
-    return str(mujoco.mjtGeom(int(model.geom_type[geom])).name).removeprefix("mjGEOM_")
 
 
 def mesh_vertices_m(model: mujoco.MjModel, geom: int) -> FloatArray:

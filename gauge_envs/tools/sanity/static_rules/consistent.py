@@ -12,6 +12,7 @@ import numpy as np
 from gauge_envs.scene.geometry import FloatArray, IntArray
 from gauge_envs.tools.sanity.model_checks.check import Change
 from gauge_envs.tools.sanity.model_checks.drives import drives, servos, start
+from gauge_envs.tools.sanity.model_checks.rule import Fault, rule, unit_text
 from gauge_envs.tools.sanity.robot.robot import (
     Place,
     Robot,
@@ -23,7 +24,6 @@ from gauge_envs.tools.sanity.robot.robot import (
     spec_element,
     unheld,
 )
-from gauge_envs.tools.sanity.static_rules.rule import Fault, rule, unit_text
 from gauge_envs.tools.sanity.static_rules.sides import limb_of, mirrored, side_of
 
 # --- keyframes -------------------------------------------------------------------------------------------------------

@@ -9,14 +9,16 @@ import numpy as np
 
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.sanity.model_checks.drives import drives, start
+from gauge_envs.tools.sanity.model_checks.rule import Fault, rule
 from gauge_envs.tools.sanity.robot.robot import (
     Robot,
+    geom_name,
     joints_of,
     name_of,
+    root_of,
     switched_off,
 )
 from gauge_envs.tools.sanity.robot.standing import LIQUID_KG_PER_M3
-from gauge_envs.tools.sanity.static_rules.rule import Fault, rule
 from gauge_envs.tools.sanity.static_rules.shapes import (
     body_shapes,
     mesh_volume_m3,
@@ -219,6 +221,66 @@ def armature(robot: Robot) -> Iterator[Fault]:
             right = "armature", max(inertia, least - inertia)
             place = "joint", drive.joint
             yield Fault(place, drive.name, text, least / inertia, change=right)
+
+
+# --- feet and bases --------------------------------------------------------------------------------------------------
+
+LOW_FRICTION, HIGH_FRICTION = 0.05, 3.0
+"""Friction of feet: wet ice on rubber has 0.05 and more, racing tyres less than 3."""
+
+
+@rule(
+    "robot-friction",
+    title="friction of a foot that no real sole has",
+    source="wet ice 0.05, racing tyres below 3",
+    consequence="The foot slips or grips as on no real floor.",
+)
+def foot_friction(robot: Robot) -> Iterator[Fault]:
+    """Yield feet whose friction on the ground is outside of the limits."""
+    for row in robot.foot_rows:
+        condim, friction = robot.pairs.constants[row, :2].tolist()
+        met, ends = friction * (condim > 1), robot.pairs.geoms[row].tolist()
+        # The pair is in the order of ids; the foot is on a body of the robot.
+        ground, foot = sorted(
+            ends, key=lambda geom: int(robot.model.geom_bodyid[geom]) in robot.bodies
+        )
+        if not LOW_FRICTION <= met <= HIGH_FRICTION:
+            name = geom_name(robot.model, foot)
+            text = f"{name} has friction {met:g} on {geom_name(robot.model, ground)}"
+            text += ", by condim 1" if condim == 1 else ""
+            ratio = max(LOW_FRICTION / max(met, 1e-9), met / HIGH_FRICTION)
+            yield Fault(("geom", foot), name, text, ratio)
+
+
+FREE_SHARE = 0.05
+"""Share of its speed that a free base may lose in 1 s: air takes less from anything heavier than a balloon."""
+
+
+@rule(
+    "robot-free",
+    title="free joint that brakes its robot in the air",
+    source='nothing holds a base in the air; defaults of joints apply to <joint type="free"> and not to <freejoint>',
+    consequence="The policy learns to turn and fall slower than the robot does.",
+)
+def free_joint(robot: Robot) -> Iterator[Fault]:
+    """Yield free joints of robots with friction, damping or armature; a ball may be braked to keep it from rolling."""
+    model, matrix = robot.model, np.zeros((robot.model.nv, robot.model.nv))
+    bases = [root_of(model, drive.body) for drive in drives(robot)]
+    is_base = joints_of(model, "FREE") & np.isin(model.jnt_bodyid, bases)
+    if model.opt.density > LIQUID_KG_PER_M3 or not is_base.any():
+        return
+    mujoco.mj_fullM(model, start(robot), matrix)
+    damping = np.atleast_2d(model.dof_damping.T)[0]
+    dry, rotor = model.dof_frictionloss, model.dof_armature
+    shares = np.maximum(damping + dry, rotor) / (np.diag(matrix) - rotor)
+    for joint in np.flatnonzero(is_base).tolist():
+        first = model.jnt_dofadr[joint]
+        share = float(shares[first : first + 6].max())
+        if share > FREE_SHARE:
+            name = name_of(model, "body", int(model.jnt_bodyid[joint]))
+            text = f"{name} is braked in the air by damping {damping[first]:g}, friction {dry[first]:g}, "
+            text += f"armature {rotor[first]:g}"
+            yield Fault(("joint", joint), name, text, share)
 
 
 # --- the world -------------------------------------------------------------------------------------------------------
