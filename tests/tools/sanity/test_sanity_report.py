@@ -78,7 +78,6 @@ DRIFT = replace(SPIN, verdict=SanityVerdict.WARNING, parts=part(0.6))
 FIX = Fix(
     changes={"cone": "elliptic"},
     line='<option cone="elliptic"/>',
-    flag_count=2,
     fixed={"creep-wood": 0.5},
     lines=('- <option timestep="0.01"/>', '+ <option cone="elliptic"/>'),
     speed_ratio=0.8,

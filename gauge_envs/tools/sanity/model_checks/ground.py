@@ -180,7 +180,7 @@ def holding_force(robot: Robot) -> Iterator[Fault]:
         verb = "at rest"
     for drive in limited:
         force, unit = needed[drive.dof], drive.units[0]
-        text = f"{verb} {drive.name} takes {force:.3g} {unit}; its motor makes {drive.limit:.3g}"
+        text = f"{verb} {drive.name} takes {force:.4g} {unit}; its motor makes {drive.limit:.4g} {unit}"
         yield from drive.faults(force / drive.limit, text)
 
 
@@ -201,7 +201,7 @@ def stands(robot: Robot) -> Finding:
     gap_mm = 1e3 * (standing.ground_m - floor_m(robot))
     text = ""
     if not FELL <= ratio <= ROSE:
-        text = f"the robot is at {ratio:.2g} of its height"
+        text = f"the robot {'falls' if ratio < 1.0 else 'rises'} to {ratio:.0%} of its height"
         if abs(gap_mm) > MIN_GAP_MM:
             text += f": its feet start {abs(gap_mm):.3g} mm {'above' if gap_mm > 0.0 else 'in'} the ground"
     return Finding(value=ratio, remark=text, place=("body", standing.body))

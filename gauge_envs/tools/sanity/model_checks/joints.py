@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import mujoco
 import numpy as np
 
+from gauge_envs.pages.text import digits_text
 from gauge_envs.scene import GRAVITY_M_PER_S2
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.sanity.model_checks.check import Change
@@ -50,16 +51,19 @@ def _brakes(drive: Drive) -> Iterator[Fault]:
     robot, (force, angle), model = drive.robot, drive.units, drive.robot.model
     root, reaches = root_of(model, drive.body), reaches_m(robot)
     dry, damping, armature = drive.dry, drive.damping, drive.armature
-    brakes = f"{drive.name}: friction {dry:.3g}, damping {damping:.3g}, armature {armature:.3g}"
+    brakes = f"friction {digits_text(dry)}, damping {digits_text(damping)}, armature {armature:.3g}"
     if min(dry, damping, armature) < 0.0:
-        yield from drive.faults(np.inf, f"{brakes}: a negative one feeds the motion")
+        yield from drive.faults(
+            np.inf, f"{drive.name} has {brakes}: a negative one feeds the motion"
+        )
     speed, acceleration = (
         (STEP_PER_S, STEP_PER_S2) if drive.is_leg else (SLOW_PER_S, SLOW_PER_S2)
     )
     brake = drags(robot, speed)[drive.dof] + armature * acceleration * drive.scale
     yield from drive.faults(
         brake / drive.push,
-        f"{brakes} take {brake:.3g} {force} at {speed * drive.scale:g} {angle}/s; its motor makes {drive.push:.3g}",
+        f"{drive.name} takes {digits_text(brake)} {force} at {speed * drive.scale:g} {angle}/s, "
+        f"and its motor makes {digits_text(drive.push)} {force}: {brakes}",
     )
     if not drive.is_hinge:
         return
@@ -68,7 +72,8 @@ def _brakes(drive: Drive) -> Iterator[Fault]:
         whole = model.body_subtreemass[root] * reaches[root] ** 2
         yield from drive.faults(
             armature / whole,
-            f"{drive.name} has an armature of {armature:.3g} kg m^2 and no torque limit; the robot has {whole:.2g}",
+            f"{drive.name} has an armature of {armature:.3g} kg m^2 and no torque limit; "
+            f"the robot has {whole:.2g} kg m^2",
             True,
         )
 
@@ -129,8 +134,8 @@ def _modes(robot: Robot, driven: list[Drive]) -> Iterator[Fault]:
 
     for ratio, mode in _eigenmodes(robot, "frictionloss"):
         growth, drive = min(np.abs(ratio), MAX_RATIO) ** GROWTH_STEPS, drive_of(mode)
-        text = f"a small motion of {drive.name} grows by {np.abs(ratio) - 1.0:.2g} of itself in a step of "
-        text += f"{1e3 * step_s:g} ms: kp {drive.kp:.4g}, kv {drive.kv:.3g}"
+        text = f"{drive.name} is unstable: a small motion grows {np.abs(ratio):.3g} times in each step of "
+        text += f"{1e3 * step_s:g} ms, with kp {digits_text(drive.kp)}, kv {digits_text(drive.kv)}"
         text += "" if drive.armature else ", no armature"
         changes = (None,) if drive.armature else _steadier(drive)
         yield from drive.faults(growth / GROWTH, text, changes=changes)
@@ -179,10 +184,10 @@ def _eigenmodes(
 def _response(drive: Drive) -> Iterator[Fault]:
     robot, (force, angle) = drive.robot, drive.units
     damping, kp = drive.damping + drive.kv, drive.kp
-    servo = f"kp {kp:.3g} {force}/{angle}"
+    servo = f"kp {digits_text(kp)} {force}/{angle}"
     # Overdamped, a servo covers half of a step in ln(2) damping / kp.
     half_s, limit_s = np.log(2.0) * damping / kp, SLOW_S
-    text = f"{drive.name} covers half of a small step in {half_s:.2g} s: {servo}, damping {damping:.3g}"
+    text = f"{drive.name} covers half of a small step in {half_s:.2g} s: {servo}, damping {digits_text(damping)}"
     if drive.is_leg and robot.standing is not None:
         limit_s = np.sqrt(robot.standing.height_m / GRAVITY_M_PER_S2)
         text += f"; the robot falls in {limit_s:.2g} s"
@@ -192,7 +197,7 @@ def _response(drive: Drive) -> Iterator[Fault]:
         robot.model.body_dofnum[root_of(robot.model, drive.body)] == 6 and kp != 1.0
     )
     if drive.is_hinge and not is_floating:
-        text = f"{drive.name} sags by {weight / kp:.2g} rad: {servo} carries {weight:.3g} N m"
+        text = f"{drive.name} sags by {weight / kp:.2g} rad: {servo} carries {digits_text(weight)} N m"
         if kp == 1.0:
             text += ", MuJoCo's default kp"
         yield from drive.faults(weight / kp / SAG_RAD, text, True)

@@ -99,6 +99,6 @@ def _creep(
         name, on = (geom_name(model, geom) for geom in (touch.moving, touch.fixed))
         speeds[name] = max(speed, speeds.get(name, 0.0))
         if speed > worst.value:
-            text = f"{name} creeps at {digits_text(speed)} mm/s on {on}, at {SHARE:g} of its friction limit"
+            text = f"{name} creeps on {on} at {digits_text(speed)} mm/s, pushed with {SHARE:g} of its friction limit"
             worst = Finding(value=speed, place=("geom", touch.moving), remark=text)
     return replace(worst, parts=speeds)

@@ -108,5 +108,5 @@ def unit_text(ratio: float) -> str:
     ratio = max(abs(ratio), 1.0 / max(abs(ratio), 1e-300))
     for factor, unit in UNITS.items():
         if abs(ratio / factor - 1.0) < UNIT_TOLERANCE:
-            return f" ({factor:.3g} times: {unit})"
+            return f" ({factor:.4g} times: {unit})"
     return ""

@@ -166,8 +166,8 @@ def servo_gain(robot: Robot) -> Iterator[Fault]:
         is_weak = np.isfinite(error) and error > WEAK * max(span, 1.0)
         if drive.is_hinge and span and is_weak:
             force, angle = drive.units
-            most = f"{drive.kp * span:.2g} of its {drive.limit:.3g} {force}"
-            text = f"{drive.name} with kp {drive.kp:.3g} {force}/{angle} makes at most {most} within its range"
+            most = f"{drive.kp * span:.2g} of its {drive.limit:.4g} {force}"
+            text = f"{drive.name} with kp {drive.kp:.4g} {force}/{angle} makes at most {most} within its range"
             yield Fault(("joint", drive.joint), drive.name, text, error / span)
 
 
@@ -503,7 +503,7 @@ def start_coupling(robot: Robot) -> Iterator[Fault]:
         off, span = abs(coupled - begin[place]), np.ptp(model.jnt_range[joint]) or 1.0
         if off > MAX_OFF * span:
             name = name_of(model, "joint", joint)
-            text = f"{name} starts {off:.2g} off its coupling; its range is {span:.3g}"
+            text = f"{name} starts {off:.2g} off its coupling; its range is {span:.4g}"
             yield Fault(("equality", number), name, text, float(off / span))
 
 

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import mujoco
 import numpy as np
 
+from gauge_envs.pages.text import digits_text
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.sanity.model_checks.drives import drives, start
 from gauge_envs.tools.sanity.model_checks.rule import Fault, rule
@@ -95,7 +96,7 @@ def inertia(robot: Robot) -> Iterator[Fault]:
         most = shape.farthest_m(model.body_ipos[body]) ** 2
         ratio = square / max(shape.square_m2, 1e-12)
         if square > MAX_GYRATION * most or ratio < MIN_GYRATION:
-            text = f"{name} of {mass_kg:.3g} kg has {ratio:.2g} times the inertia of its own shapes"
+            text = f"{name} of {mass_kg:.3g} kg has {digits_text(ratio)} times the inertia of its own shapes"
             yield Fault(
                 ("body", body),
                 name,
@@ -181,7 +182,7 @@ def range_unit(robot: Robot) -> Iterator[Fault]:
         low, high = model.jnt_range[joint]
         name, span = name_of(model, "joint", joint), high - low
         if span > MAX_TURNS * 2.0 * np.pi:
-            text = f"{name} can turn {span / (2.0 * np.pi):.3g} times round: range {low:.4g} to {high:.4g} "
+            text = f"{name} can turn {digits_text(span / (2.0 * np.pi))} times round: range {low:.4g} to {high:.4g} "
             right = "range", np.deg2rad([low, high])
             text += "looks like degrees in a file of radians"
             yield Fault(("joint", joint), name, text, span, True, right)

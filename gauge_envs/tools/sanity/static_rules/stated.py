@@ -131,7 +131,7 @@ def margin(robot: Robot) -> Iterator[Fault]:
         geom = int(pairs.geoms[row].max())
         name, ratio = geom_name(model, geom), ahead_m[row] / MAX_MARGIN_M
         text = (
-            f"{name} rests {1e3 * ahead_m[row]:.3g} mm above the ground, by its margin"
+            f"{name} rests {1e3 * ahead_m[row]:.4g} mm above the ground, by its margin"
         )
         wide = filter(model.geom_margin.__getitem__, pairs.geoms[row].tolist())
         for place in [("geom", wider) for wider in wide]:
