@@ -168,7 +168,9 @@ def difference_document(compared: TargetDifference) -> Document:
             Column("second", compared.second, quantity_text, is_number=True),
             Column("first_verdict", "verdict", lambda verdict: verdict.value),
             Column("second_verdict", "verdict", lambda verdict: verdict.value),
-            Column("is_changed", "", _changed_text),
+            Column(
+                "is_changed", "", lambda is_changed: "changed" if is_changed else ""
+            ),
         ),
         rows=compared.checks,
     )
@@ -182,7 +184,3 @@ def difference_document(compared: TargetDifference) -> Document:
         parts=(Paragraph(text, Tone.ANSWER), *map(Paragraph, lines), table),
         rows=[names, *map(vars, compared.checks)],
     )
-
-
-def _changed_text(is_changed: bool) -> str:
-    return "changed" if is_changed else ""

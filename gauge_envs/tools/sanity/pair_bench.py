@@ -358,11 +358,6 @@ def set_pair(model: mujoco.MjModel, changes: Settings, pair: int | None = 0) -> 
             getattr(model, f"pair_{PAIR_FIELDS[name]}")[pair] = value
 
 
-def can_measure(model: mujoco.MjModel, *geoms: int) -> bool:
-    """Return whether the bench can have some geoms."""
-    return mujoco.mjtGeom.mjGEOM_SDF not in model.geom_type[list(geoms)]
-
-
 def bench(robot: Robot, touch: Touch, constants: FloatArray) -> Bench:
     """Return the bench of two geoms.
 
@@ -375,7 +370,7 @@ def bench(robot: Robot, touch: Touch, constants: FloatArray) -> Bench:
         TargetError: A geom has a type that the bench cannot have.
     """
     model, spec = robot.model, mujoco.MjSpec()
-    if not can_measure(model, touch.fixed, touch.moving):
+    if mujoco.mjtGeom.mjGEOM_SDF in model.geom_type[[touch.fixed, touch.moving]]:
         raise TargetError("a geom of type sdf cannot be measured alone")
     body = spec.worldbody.add_body(name="moving", pos=touch.offset_m)
     body.explicitinertial, body.mass, body.inertia = True, touch.mass_kg, np.ones(3)

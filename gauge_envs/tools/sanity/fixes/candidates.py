@@ -71,7 +71,6 @@ CANDIDATES: Sequence[Settings] = (
     STEP,
     STEP | DAMPED,
     RECOMMENDED_MUJOCO,
-    RECOMMENDED_MUJOCO | STIFF,
     RECOMMENDED_MUJOCO | FIRM | {"timestep_s": 0.001},
 )
 """Changes that are tried, the cheapest first."""

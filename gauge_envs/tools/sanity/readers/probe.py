@@ -19,7 +19,7 @@ from gauge_envs.tools.sanity.readers.gauge_probe import FORMAT, VERSION
 from gauge_envs.tools.sanity.readers.mjcf import GeomPair
 from gauge_envs.tools.sanity.readers.mujoco_model import mujoco_configuration
 from gauge_envs.tools.sanity.readers.settings import read_settings
-from gauge_envs.tools.sanity.training import Settings, TrainingConfiguration
+from gauge_envs.tools.sanity.training import TrainingConfiguration
 
 
 def read_file(path: Path, pair: GeomPair | None = None) -> TrainingConfiguration:
@@ -39,12 +39,6 @@ def read_file(path: Path, pair: GeomPair | None = None) -> TrainingConfiguration
         )
     name = path.name.removesuffix(".json").removesuffix(".gaugeprobe")
     source = f"probe file {path.name}: {file['source']}"
-    return _read_model(path, file, name, source, pair)
-
-
-def _read_model(
-    path: Path, file: Settings, name: str, source: str, pair: GeomPair | None
-) -> TrainingConfiguration:
     trained, here = file["mujoco"], mujoco.__version__
     text, notes = _known(file["data"])
     try:

@@ -323,9 +323,7 @@ SENSORS = (mujoco.mjtSensor.mjSENS_ACCELEROMETER, mujoco.mjtSensor.mjSENS_GYRO)
 )
 def imu_frame(robot: Robot) -> Iterator[Fault]:
     """Yield sites of inertial sensors whose z axis points down where the robot stands."""
-    model, data = robot.model, mujoco.MjData(robot.model)
-    data.qpos[:] = robot.stance.qpos
-    mujoco.mj_kinematics(model, data)
+    model, data = robot.model, start(robot)
     for number in np.flatnonzero(np.isin(model.sensor_type, SENSORS)).tolist():
         site = int(model.sensor_objid[number])
         axis: FloatArray = data.site_xmat[site].reshape(3, 3)[:, 2]

@@ -18,7 +18,6 @@ from gauge_envs.tools.sanity.robot.robot import (
     joints_of,
     joints_of_motors,
     name_of,
-    unheld,
 )
 
 # --- contacts --------------------------------------------------------------------------------------------------------
@@ -249,11 +248,7 @@ LINK_SHARE = 0.2
 def gravcomp(robot: Robot) -> Iterator[Fault]:
     """Yield standing robots that gravity does not pull, and links without compensation next to one with it."""
     model, carried = robot.model, robot.model.body_gravcomp > 0.0
-    if (
-        robot.standing
-        and robot.standing.body in unheld(model)
-        and carried[robot.bodies].any()
-    ):
+    if robot.standing and carried[robot.bodies].any():
         body = next(body for body in robot.bodies if carried[body])
         name = name_of(model, "body", body)
         weight = model.body_mass[robot.bodies]
