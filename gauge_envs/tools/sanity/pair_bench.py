@@ -306,7 +306,7 @@ class Bench:
         pull = STEEP * self.friction * pressed
         along = np.array([math.cos(angle_rad), math.sin(angle_rad)])
         table = self._run(SETTLE_S, (*(pull * along), -pressed), -self._rest[0])
-        late = len(table) // 2
+        late = (len(table) - 1) // 2
         seconds = (len(table) - 1 - late) * self.model.opt.timestep
         rates_m_per_s2 = (table[-1] - table[late])[1:] / seconds
         gained, lifted = rates_m_per_s2[:2] @ along, rates_m_per_s2[2]

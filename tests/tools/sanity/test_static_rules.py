@@ -49,10 +49,10 @@ MISTAKES = [
         {"angle": "", "range": "-57 86"},
     ),
     ("density", "lead has", {"mass": "50", "inertia": ".05 .45 .45"}, {}),
-    ("inertia", "8.1 times", {"inertia": ".01 .08 .08"}, {"inertia": ".002 .01 .01"}),
+    ("inertia", "8.06 times", {"inertia": ".01 .08 .08"}, {"inertia": ".002 .01 .01"}),
     (
         "inertia",
-        "0.081 times",
+        "0.0806 times",
         {"inertia": "1e-4 8e-4 8e-4"},
         {"inertia": "5e-4 .006 .006"},
     ),
