@@ -13,6 +13,7 @@ from gauge_envs.backends.mujoco.contact_table import contact_pairs
 from gauge_envs.tools.sanity.fixes.harm import motion_harm
 from gauge_envs.tools.sanity.fixes.text_change import TextChange
 from gauge_envs.tools.sanity.model_checks.check import Change
+from gauge_envs.tools.sanity.model_checks.joints import joint_brakes
 from gauge_envs.tools.sanity.robot.robot import Place, Robot, spec_element
 from gauge_envs.tools.sanity.static_rules import STATIC_RULES
 from gauge_envs.tools.sanity.target_checks import TARGET_CHECKS
@@ -36,7 +37,7 @@ def with_fix(result: SanityResult, robot: Robot) -> SanityResult:
         return result
     counts = [
         rule.finding(corrected).value - rule.finding(robot).value
-        for rule in STATIC_RULES
+        for rule in (*STATIC_RULES, joint_brakes)
     ]
     is_left = check.deviation(check.finding(corrected).value) > 1.0
     if is_left or max(counts) > 0.0 or motion_harm(robot, corrected):
