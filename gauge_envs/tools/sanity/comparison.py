@@ -156,10 +156,8 @@ def _check_difference(first: SanityResult, second: SanityResult) -> CheckDiffere
 
 def difference_document(compared: TargetDifference) -> Document:
     """Return how many checks differ, and the table; its JSON rows are both names, then each check."""
-    changed = [check.id for check in compared.checks if check.is_changed]
+    changed = [check for check in compared.checks if check.is_changed]
     text = f"{len(changed)} of {counted(len(compared.checks), 'check')} change"
-    if changed:
-        text += f": {', '.join(changed)}"
     table = Table(
         columns=(
             Column("id", "id"),
@@ -172,7 +170,7 @@ def difference_document(compared: TargetDifference) -> Document:
                 "is_changed", "", lambda is_changed: "changed" if is_changed else ""
             ),
         ),
-        rows=compared.checks,
+        rows=changed,
     )
     names: dict[str, Any] = {"first": compared.first, "second": compared.second}
     shown = compared.changes[:MAX_CHANGES]

@@ -167,9 +167,9 @@ def test_dry_friction_hides_no_servo_that_grows(seed, tmp_path):
 
 STIFF = """<mujoco><option timestep="0.005"/><worldbody><body name="hand" pos="0 0 1">
   <geom type="box" size=".05 .02 .02"/><body><joint name="finger" type="slide" axis="1 0 0" range="0 .05" {}/>
-  <geom type="box" size=".005 .01 .03" mass=".02"/></body></body></worldbody>
+  <geom type="box" size=".005 .01 .03" mass=".005"/></body></body></worldbody>
   <actuator><position joint="finger" kp="2000"/></actuator></mujoco>"""
-"""A servo whose swing of 50 Hz has four steps; with a rotor of 50 g it has 32."""
+"""A servo whose swing of 101 Hz has two steps; with a rotor of 50 g it has seven."""
 
 
 @pytest.mark.parametrize(

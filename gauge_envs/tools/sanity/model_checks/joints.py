@@ -59,10 +59,11 @@ def _brakes(drive: Drive) -> Iterator[Fault]:
     speed, acceleration = (
         (STEP_PER_S, STEP_PER_S2) if drive.is_leg else (SLOW_PER_S, SLOW_PER_S2)
     )
+    seconds = speed / acceleration
     brake = drags(robot, speed)[drive.dof] + armature * acceleration * drive.scale
     yield from drive.faults(
         brake / drive.push,
-        f"{drive.name} takes {digits_text(brake)} {force} at {speed * drive.scale:g} {angle}/s, "
+        f"{drive.name} takes {digits_text(brake)} {force} to reach {speed * drive.scale:g} {angle}/s in {seconds:g} s, "
         f"and its motor makes {digits_text(drive.push)} {force}: {brakes}",
     )
     if not drive.is_hinge:
@@ -198,6 +199,4 @@ def _response(drive: Drive) -> Iterator[Fault]:
     )
     if drive.is_hinge and not is_floating:
         text = f"{drive.name} sags by {weight / kp:.2g} rad: {servo} carries {digits_text(weight)} N m"
-        if kp == 1.0:
-            text += ", MuJoCo's default kp"
         yield from drive.faults(weight / kp / SAG_RAD, text, True)

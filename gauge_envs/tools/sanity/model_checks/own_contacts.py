@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
+import mujoco
 import numpy as np
 
 from gauge_envs.errors import TargetError
@@ -22,6 +23,9 @@ SHARE = 0.7
 
 MAX_CREEP_MM_PER_S = 1.4
 """Fastest creep that the published scores of this cube allow [mm/s]; see `object_checks.friction`."""
+
+ROUND = range(mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_BOX)
+"""Types of geoms that roll."""
 
 MAX_PAIRS = 6
 """Largest number of pairs of geoms with different contacts that are measured."""
@@ -49,7 +53,16 @@ def foot_creep(robot: Robot) -> Finding:
     standing, model = standing_of(robot), robot.model
     weight_n = float(model.body_subtreemass[standing.body]) * GRAVITY_M_PER_S2
     load_n = np.array([weight_n / len(standing.feet), 0.0])
-    return _creep(robot, robot.foot_rows, lambda pair: load_n)
+    geoms, first = (
+        robot.pairs.geoms[robot.foot_rows],
+        model.body_jntadr[model.geom_bodyid],
+    )
+    away_m = np.linalg.norm(model.jnt_pos[first] - model.geom_pos, axis=1)
+    # A round geom that turns about its centre is a wheel.
+    wheels = np.isin(model.geom_type, ROUND) & (first >= 0)
+    wheels &= away_m < 0.1 * model.geom_rbound
+    rows = np.array(robot.foot_rows)[~wheels[geoms].any(axis=1)].tolist()
+    return _creep(robot, rows, lambda pair: load_n)
 
 
 @model_check(

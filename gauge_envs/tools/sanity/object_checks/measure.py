@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from operator import attrgetter
 from typing import TypeVar
 
 from gauge_envs.backends import Backend, backend
@@ -105,19 +106,12 @@ def object_result(
         replace(measurements.measure(check, settings), name=geoms)
         for geoms, settings in slides.items()
     ]
-    worst = max(parts, key=lambda part: (_is_measured(part), part.deviation))
-    # A scene that the engine cannot simulate at all is not checked.
-    applies = _is_measured(worst) or _is_measured(measurements.measure(check, {}))
+    worst = max(parts, key=attrgetter("deviation"))
     return replace(
         unmeasured,
         configured=worst.value,
         verdict=worst.verdict,
         remark=worst.remark,
-        applies=applies,
         geoms=worst.name if len(parts) > 1 else "",
         parts=tuple(parts),
     )
-
-
-def _is_measured(outcome: PartOutcome) -> bool:
-    return outcome.verdict is not SanityVerdict.NOT_MEASURED

@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 
 from gauge_envs.errors import TargetError
-from gauge_envs.files import is_folder
 from gauge_envs.reading import faults_of, reading
 from gauge_envs.text import toml_document
 from gauge_envs.tools.sanity.readers import probe, settings
@@ -33,16 +32,8 @@ def _read_toml(path: Path, pair: GeomPair | None) -> TrainingConfiguration:
     return settings.read_settings(path, values)
 
 
-def _read_usd(path: Path, pair: GeomPair | None) -> TrainingConfiguration:
-    """Raise an error that names the command for a USD layer."""
-    raise TargetError(
-        f"{path}: a USD layer has no settings of a solver: gauge run ID --asset {path.name} simulates it"
-    )
-
-
 READERS = {
     **dict.fromkeys((".xml", ".mjcf", ".urdf"), read_model_file),
-    **dict.fromkeys((".usd", ".usda", ".usdc"), _read_usd),
     ".toml": _read_toml,
     ".json": probe.read_file,
 }
@@ -98,6 +89,4 @@ def _read_text(target: Target, pair: GeomPair | None) -> TrainingConfiguration:
             return reader(path, pair)
     if backend := settings.read_backend(str(target)):
         return backend
-    if is_folder(path):
-        raise TargetError(f"{path}: is a folder: give the file of a model")
     return read_id(str(target), pair)

@@ -184,6 +184,7 @@ def names(robot: Robot) -> Iterator[Fault]:
     """Yield actuators with the name of another joint, and elements that belong to the other side."""
     model = robot.model
     joints = {model.joint(joint).name: joint for joint in range(model.njnt)}
+    known = {*model.names.decode().split("\0")}
     for kind, number, owner_kind, owner in _references(model):
         name, owner_name = (
             getattr(model, kind)(number).name,
@@ -194,7 +195,9 @@ def names(robot: Robot) -> Iterator[Fault]:
             yield Fault((kind, number), name, text, 2.0, True, ("joint", name))
             continue
         side, owner_side = side_of(name).side, side_of(owner_name).side
-        if side and owner_side and side != owner_side:
+        # The last letter is a roll where a pitch or yaw has the same name.
+        is_roll = not known.isdisjoint(name[:-1] + letter for letter in "PYpy")
+        if side and owner_side and side != owner_side and not is_roll:
             text = (
                 f"{kind} {name} belongs to {owner_kind} {owner_name}, on the other side"
             )

@@ -163,8 +163,8 @@ def mesh_mass(robot: Robot) -> Iterator[Fault]:
 
 # --- joints ----------------------------------------------------------------------------------------------------------
 
-MAX_TURNS, MIN_RANGE_RAD = 4.0, 0.12
-"""Largest range of a hinge in turns, and the smallest: 2 pi in degrees that are read twice is 0.11."""
+MAX_TURNS, MIN_RANGE_RAD, ENDLESS_RAD = 4.0, 0.12, 1e4
+"""Largest range of a hinge in turns, the smallest (2 pi in degrees that are read twice is 0.11), and no stop at all."""
 
 
 @rule(
@@ -181,7 +181,7 @@ def range_unit(robot: Robot) -> Iterator[Fault]:
     for joint in limited.tolist():
         low, high = model.jnt_range[joint]
         name, span = name_of(model, "joint", joint), high - low
-        if span > MAX_TURNS * 2.0 * np.pi:
+        if MAX_TURNS * 2.0 * np.pi < span < ENDLESS_RAD:
             text = f"{name} can turn {digits_text(span / (2.0 * np.pi))} times round: range {low:.4g} to {high:.4g} "
             right = "range", np.deg2rad([low, high])
             text += "looks like degrees in a file of radians"
