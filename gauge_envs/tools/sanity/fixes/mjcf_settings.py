@@ -20,10 +20,6 @@ def attribute_text(value: Any) -> str:
     return " ".join(f"{n:.6g}" if isinstance(n, float) else str(n) for n in values)
 
 
-def _switch(is_on: bool) -> str:
-    return "enable" if is_on else "disable"
-
-
 class Attribute(NamedTuple):
     """An attribute of MJCF.
 
@@ -52,11 +48,9 @@ ATTRIBUTES = {
     "equality_solimp": Attribute("equality", "solimp"),
     **{name: Attribute("option", name) for name in OPTIONS},
     **{
-        name: Attribute("flag", name, _switch)
+        name: Attribute("flag", name, lambda is_on: "enable" if is_on else "disable")
         for name in (*DISABLE_FLAGS, *ENABLE_FLAGS)
     },
-    # Disabling the override restores the contacts of all geoms.
-    "o_friction": Attribute("flag", "override", lambda value: "disable"),
 }
 """Attribute of each setting: of `<option>`, of its `<flag>`, and of the defaults."""
 

@@ -20,8 +20,6 @@ from gauge_envs.tools.sanity.readers.mjcf import GeomPair, read_model_file
 from gauge_envs.tools.sanity.robot.robot import mujoco_warnings
 from gauge_envs.tools.sanity.training import TrainingConfiguration
 
-__all__ = ["configuration"]
-
 
 def _read_toml(path: Path, pair: GeomPair | None) -> TrainingConfiguration:
     """Return the configuration of a settings file or a task file."""
