@@ -137,3 +137,20 @@ def test_feet_that_creep_are_a_warning(option, verdict):
     xml = quadruped_xml(option=option)
     (result,) = check(model(xml), only=["foot-creep"], explain=False).checks
     assert result.verdict is verdict
+
+
+CART = """<mujoco><worldbody>{plane}<body pos="0 0 .1"><freejoint/><geom type="box" size=".2 .1 .02" mass="5"/>
+  {wheels}</body></worldbody><actuator>{motors}</actuator></mujoco>"""
+WHEEL = """<body pos="{x} {y} 0"><joint name="{x}{y}" axis="0 1 0" pos="{off} 0 0"/>
+  <geom type="{kind}" size=".1 .02 .1" zaxis="0 1 0" mass=".5"/></body>"""
+
+
+@pytest.mark.parametrize("off", [0.0, 0.05])
+@pytest.mark.parametrize("kind", ["sphere", "cylinder", "capsule", "ellipsoid"])
+def test_a_wheel_is_no_foot_that_creeps(kind, off):
+    places = [(x, y) for x in (0.2, -0.2) for y in (0.1, -0.1)]
+    wheels = "".join(WHEEL.format(x=x, y=y, off=off, kind=kind) for x, y in places)
+    motors = "".join(f'<motor joint="{x}{y}"/>' for x, y in places)
+    xml = CART.format(plane=PLANE, wheels=wheels, motors=motors)
+    (result,) = check(model(xml), only=["foot-creep"], explain=False).checks
+    assert result.verdict.is_off is bool(off)
