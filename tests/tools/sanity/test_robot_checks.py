@@ -111,7 +111,7 @@ WRONG = {
     ),
     "no kp": (
         arm(end=MOTOR.format("")),
-        ("robot-drive", "MuJoCo's default kp"),
+        ("robot-drive", "default kp of MuJoCo"),
     ),
     "dense link": (
         arm(

@@ -198,5 +198,9 @@ def _response(drive: Drive) -> Iterator[Fault]:
         robot.model.body_dofnum[root_of(robot.model, drive.body)] == 6 and kp != 1.0
     )
     if drive.is_hinge and not is_floating:
-        text = f"{drive.name} sags by {weight / kp:.2g} rad: {servo} carries {digits_text(weight)} N m"
-        yield from drive.faults(weight / kp / SAG_RAD, text, True)
+        yield from drive.faults(
+            weight / kp / SAG_RAD,
+            f"{drive.name} sags by {weight / kp:.2g} rad: {servo} carries {digits_text(weight)} N m"
+            f"{', the default kp of MuJoCo' if kp == 1.0 else ''}",
+            True,
+        )
