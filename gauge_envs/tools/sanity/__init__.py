@@ -11,7 +11,7 @@ A target passes through the modules in this order, which `run` calls.
 
 Example:
     >>> from gauge_envs.tools.sanity import check
-    >>> report = check("mujoco", only=["rebound"])
+    >>> report = check("mujoco", only=["rest-height"])
     >>> [result.verdict.value for result in report.checks]
     ['passed']
 """

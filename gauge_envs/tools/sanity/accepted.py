@@ -66,8 +66,9 @@ def _reasons(configuration: TrainingConfiguration) -> Iterator[tuple[str, str]]:
 
 def _reason(result: SanityResult, reasons: Mapping[str, str]) -> str:
     """Return why a finding is accepted; empty where one of its elements is not."""
-    if not result.verdict.is_off or result.id in reasons:
-        return reasons.get(result.id, "") if result.verdict.is_off else ""
+    if not result.verdict.is_off:
+        return ""
     names = [f"{result.id}:{part.name}" for part in result.parts if part.verdict.is_off]
     found = [reasons.get(name, "") for name in names]
-    return "; ".join(dict.fromkeys(found)) if found and all(found) else ""
+    parts = "; ".join(dict.fromkeys(found)) if all(found) else ""
+    return reasons.get(result.id, parts)

@@ -3,7 +3,7 @@
 Example:
     >>> from gauge_envs.tools.sanity import check
     >>> from gauge_envs.tools.sanity.comparison import difference
-    >>> reports = [check(target, only=["rebound"]) for target in ("mujoco", "mujoco")]
+    >>> reports = [check(target, only=["rest-height"]) for target in ("mujoco", "mujoco")]
     >>> [check.is_changed for check in difference(*reports).checks]
     [False]
 """
@@ -156,10 +156,8 @@ def _check_difference(first: SanityResult, second: SanityResult) -> CheckDiffere
 
 def difference_document(compared: TargetDifference) -> Document:
     """Return how many checks differ, and the table; its JSON rows are both names, then each check."""
-    changed = [check.id for check in compared.checks if check.is_changed]
+    changed = [check for check in compared.checks if check.is_changed]
     text = f"{len(changed)} of {counted(len(compared.checks), 'check')} change"
-    if changed:
-        text += f": {', '.join(changed)}"
     table = Table(
         columns=(
             Column("id", "id"),
@@ -168,9 +166,11 @@ def difference_document(compared: TargetDifference) -> Document:
             Column("second", compared.second, quantity_text, is_number=True),
             Column("first_verdict", "verdict", lambda verdict: verdict.value),
             Column("second_verdict", "verdict", lambda verdict: verdict.value),
-            Column("is_changed", "", _changed_text),
+            Column(
+                "is_changed", "", lambda is_changed: "changed" if is_changed else ""
+            ),
         ),
-        rows=compared.checks,
+        rows=changed,
     )
     names: dict[str, Any] = {"first": compared.first, "second": compared.second}
     shown = compared.changes[:MAX_CHANGES]
@@ -182,7 +182,3 @@ def difference_document(compared: TargetDifference) -> Document:
         parts=(Paragraph(text, Tone.ANSWER), *map(Paragraph, lines), table),
         rows=[names, *map(vars, compared.checks)],
     )
-
-
-def _changed_text(is_changed: bool) -> str:
-    return "changed" if is_changed else ""

@@ -10,7 +10,7 @@ from gauge_envs.files import check_replaceable, os_errors
 from gauge_envs.pages.document import save_file
 from gauge_envs.tools.sanity.fixes.named import write_named
 from gauge_envs.tools.sanity.fixes.text_change import TextChange, write_change
-from gauge_envs.tools.sanity.readers import configuration as configuration_of, dialect
+from gauge_envs.tools.sanity.readers import configuration as configuration_of
 from gauge_envs.tools.sanity.run import check
 from gauge_envs.tools.sanity.verdict import Report
 
@@ -71,18 +71,15 @@ def _changed_text(report: Report) -> tuple[TextChange, set[str]]:
     Raises:
         TargetError: The text is unknown or not MJCF.
     """
-    checked, text = report.configuration, None
-    changes, fixed = (
-        ({}, ()) if report.fix is None else (report.fix.changes, report.fix.fixed)
-    )
-    if checked.robot is not None:
-        language = dialect(checked.language)
-        text, _ = write_change(checked.robot, language, changes)
-    if checked.robot is None or text is None or text.model.root.tag != "mujoco":
+    robot, fix = report.configuration.robot, report.fix
+    assert robot is not None, "only a model has fixes"
+    text, _ = write_change(robot, {} if fix is None else fix.changes)
+    if text is None or text.model.root.tag != "mujoco":
         raise TargetError(
-            f"{checked.name}: --fix changes the text of an MJCF file, which the target is not: paste the fix instead"
+            f"{report.configuration.name}: --fix changes the text of an MJCF file, which the target "
+            "is not: paste the fix instead"
         )
-    return text, {*fixed, *write_named(report.checks, checked.robot, text)}
+    return text, {*(fix.fixed if fix else ()), *write_named(report.checks, robot, text)}
 
 
 def _flags(file: Path, report: Report) -> set[str]:

@@ -7,6 +7,7 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from operator import mul
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -14,12 +15,14 @@ import numpy as np
 from gauge_envs.backends.mujoco.contact_table import COLUMNS, can_move, contact_pairs
 from gauge_envs.backends.mujoco.options import overrides_contacts
 from gauge_envs.errors import UnknownNameError
+from gauge_envs.names import first_names
 from gauge_envs.pages.document import Paragraph, Part, Tone
 from gauge_envs.pages.table import Table, grid
 from gauge_envs.pages.text import digits_text
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.sanity.fixes.candidates import candidates_of, keeps_recipe
 from gauge_envs.tools.sanity.fixes.harm import changes_rebound, motion_harm
+from gauge_envs.tools.sanity.fixes.mjcf_settings import paste_text
 from gauge_envs.tools.sanity.pair_bench import (
     PAIR_FIELDS,
     Bench,
@@ -29,8 +32,11 @@ from gauge_envs.tools.sanity.pair_bench import (
     touch_of,
     touching,
 )
-from gauge_envs.tools.sanity.readers import dialect
-from gauge_envs.tools.sanity.robot.robot import Robot, geom_name, listed
+from gauge_envs.tools.sanity.robot.robot import (
+    Robot,
+    geom_name,
+    mujoco_warnings,
+)
 from gauge_envs.tools.sanity.training import Settings, TrainingConfiguration
 
 Rule = Callable[[float, float], float]
@@ -151,6 +157,7 @@ HALVED = 0.5
 """Largest share of the worst deviation that a change may leave."""
 
 
+@mujoco_warnings()
 def pair_parts(
     configuration: TrainingConfiguration, names: tuple[str, str], stack: str = ""
 ) -> list[Part]:
@@ -201,6 +208,7 @@ def pair_parts(
     ]
 
 
+@mujoco_warnings()
 def touching_table(configuration: TrainingConfiguration) -> list[Part]:
     """Return a table of the pairs that touch in a run from the keyframe, equal ones in a line; nothing without."""
     robot = configuration.robot
@@ -231,7 +239,7 @@ def _touching_row(
     measured = _bench(robot, pairs[0], forces_n)
     texts = {value.name: _value_text(value) for value in measured.values()}
     sides = [
-        listed([geom_name(robot.model, geom) for geom in dict.fromkeys(side)])
+        first_names([geom_name(robot.model, geom) for geom in dict.fromkeys(side)], 4)
         for side in zip(*pairs, strict=True)
     ]
     friction = f"{digits_text(measured.friction)}, {_rule(robot, pairs[0])}"
@@ -390,30 +398,28 @@ def _line_text(
         times = measured.model.opt.timestep / changes["timestep_s"]
         price.append(f"{times:g} times as many steps")
     options = {k: v for k, v in changes.items() if k not in PAIR_FIELDS}
-    lines = [dialect("mjcf").paste_text(options)] if options else []
+    lines = [paste_text(options)] if options else []
     if len(options) < len(changes):
         lines.append(_pair_line(measured.changed(changes).model, names))
     line = f"Best line: {' and '.join(lines)}: {', '.join(mended)}"
     return f"{line}; price: {', '.join(price) or 'none of these values'}."
 
 
+def _pair_values(model: mujoco.MjModel) -> dict[str, Any]:
+    """Return the attributes of the explicit pair of a bench."""
+    keys = ["friction", "solref", "solreffriction", "solimp", "margin", "gap"]
+    values = {key: getattr(model, f"pair_{key}")[0] for key in keys}
+    return {"condim": int(model.pair_dim[0]), **values}
+
+
 def _pair_line(model: mujoco.MjModel, names: tuple[str, str]) -> str:
     """Return the explicit pair of a bench in MJCF."""
-    numbers = {
-        "condim": [model.pair_dim[0]],
-        "friction": model.pair_friction[0],
-        "solref": model.pair_solref[0],
-        "solimp": model.pair_solimp[0],
-    }
-    if model.pair_solreffriction[0].any():
-        numbers["solreffriction"] = model.pair_solreffriction[0]
-    for key, value in (("margin", model.pair_margin[0]), ("gap", model.pair_gap[0])):
-        if value:
-            numbers[key] = [value]
     texts = (
-        f'{key}="{" ".join(f"{n:g}" for n in row)}"' for key, row in numbers.items()
+        f' {key}="{" ".join(f"{n:g}" for n in np.atleast_1d(value))}"'
+        for key, value in _pair_values(model).items()
+        if np.any(value)
     )
-    return f'<contact><pair geom1="{names[0]}" geom2="{names[1]}" {" ".join(texts)}/></contact>'
+    return f'<contact><pair geom1="{names[0]}" geom2="{names[1]}"{"".join(texts)}/></contact>'
 
 
 def _with_line(robot: Robot, measured: Bench, changes: Settings) -> Robot | None:
@@ -423,13 +429,12 @@ def _with_line(robot: Robot, measured: Bench, changes: Settings) -> Robot | None
     if any(name in PAIR_FIELDS for name in changes) and _explicit(model, *pair) is None:
         if robot.spec is None or not all(model.geom(geom).name for geom in pair):
             return None
-        spec, small = robot.spec.copy(), measured.model
+        spec = robot.spec.copy()
         added = spec.add_pair(
             geomname1=model.geom(pair[0]).name, geomname2=model.geom(pair[1]).name
         )
-        added.condim, added.friction = int(small.pair_dim[0]), small.pair_friction[0]
-        added.solref, added.solimp = small.pair_solref[0], small.pair_solimp[0]
-        added.margin, added.gap = small.pair_margin[0], small.pair_gap[0]
+        for key, value in _pair_values(measured.model).items():
+            setattr(added, key, value)
         model = spec.compile()
     set_pair(model, changes, _explicit(model, *pair))
     return replace(robot, model=model, pairs=contact_pairs(model))

@@ -22,13 +22,13 @@ from gauge_envs.backends.mujoco.options import option_settings, set_option
 from gauge_envs.errors import TargetError
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G
 from gauge_envs.scene.geometry import FloatArray
-from gauge_envs.tools.sanity.model_checks.runs import has_diverged
-from gauge_envs.tools.sanity.robot.robot import Robot
+from gauge_envs.tools.sanity.model_checks.runs import has_diverged, rest
+from gauge_envs.tools.sanity.robot.robot import Robot, once
 from gauge_envs.tools.sanity.robot.standing import mesh_vertices_m
 from gauge_envs.tools.sanity.training import Settings
 
-RUN_S, SETTLE_S = 1.0, 0.5
-"""Simulated times of the model and until a geom rests [s]."""
+SETTLE_S = 0.5
+"""Simulated time until a geom rests [s]."""
 
 FAST_M_PER_S, IMPACT_M_PER_S, PHASES = 4.0, 1.0, 4
 """Speed of the fast slide, speed of impacts along the normal [m/s], and number of their phases within a step."""
@@ -102,28 +102,24 @@ class Touch:
     offset_m: FloatArray
 
 
+@once
 def touching(robot: Robot) -> dict[tuple[int, int], FloatArray]:
-    """Return mean normal and tangential force [N] of each pair that touches in the last half of a run, shape [2].
-
-    The run starts from the keyframe, with its controls.
-    """
-    model, data = robot.model, mujoco.MjData(robot.model)
-    data.qpos[:], data.ctrl[:] = robot.stance.qpos, robot.stance.ctrl
-    count, force = round(RUN_S / model.opt.timestep), np.zeros(6)
-    # The normal force, and the tangential force as a vector [N].
-    sums: dict[tuple[int, int], FloatArray] = {}
-    for step in range(count):
-        mujoco.mj_step(model, data)
-        for index in range(data.ncon if 2 * step >= count else 0):
-            contact = data.contact[index]
-            mujoco.mj_contactForce(model, data, index, force)
-            pair = min(contact.geom), max(contact.geom)
+    """Return normal and tangential force [N] of each pair that touches at the end of the run at rest, shape [2]."""
+    if not robot.model.nv or np.isfinite(
+        (run := rest(robot, is_refined=False)).diverged_s
+    ):
+        return {}
+    force, sums = np.zeros(6), dict[tuple[int, int], FloatArray]()
+    for index, contact in enumerate(run.data.contact):
+        mujoco.mj_contactForce(run.model, run.data, index, force)
+        pair = min(contact.geom), max(contact.geom)
+        if force[0] > 0.0:
+            # The normal force, and the tangential force as a vector [N].
             along = contact.frame.reshape(3, 3)[1:].T @ force[1:3]
-            if force[0] > 0.0:
-                sums.setdefault(pair, np.zeros(4))
-                sums[pair] += [force[0], *along]
+            sums.setdefault(pair, np.zeros(4))
+            sums[pair] += [force[0], *along]
     return {
-        pair: np.array([total[0], np.linalg.norm(total[1:])]) / (count - count // 2)
+        pair: np.array([total[0], np.linalg.norm(total[1:])])
         for pair, total in sums.items()
     }
 
@@ -211,30 +207,37 @@ class Bench:
 
     def values(self) -> list[Value]:
         """Return what follows from the contact, each with its law; friction is left out for a contact without."""
-        values = list[Value]()
-
-        def add(
-            name: str, value: float, unit: str, law: float | None, width: float
-        ) -> None:
-            values.append(Value(name, value, unit, law, width))
-
         rebound, ratios = self.impacts()
-        if self.friction:
-            own = self.touch.pull_n / (self.friction * self.touch.load_n)
-            shares = {f"at {share:g} of the limit": share for share in SHARES}
-            for name, share in {"in the run": min(own, SHARES[0]), **shares}.items():
-                speed = self._creep_um_per_s(share)
-                add(f"creep {name}", speed, "um/s", 0.0, 100.0)
-            for angle_deg in (0.0, 45.0):
-                name = f"slide at {angle_deg:g} degrees over Coulomb"
-                add(name, self._slide(math.radians(angle_deg)), "", 1.0, 0.03)
-            for speed in (1.0, FAST_M_PER_S):
-                add(f"hop at {speed:g} m/s", self.hop_mm(speed), "mm", 0.0, 5.0)
-        add("depth under load", 1e6 * self._rest[0], "um", 0.0, 500.0)
-        add("rebound", rebound, "", None, 0.05)
-        for name, ratio in ratios.items() if self.friction else ():
-            add(f"{name} impact over Coulomb", ratio, "", 1.0, 0.1)
-        return values
+        depth = Value("depth under load", 1e6 * self._rest[0], "um", 0.0, 500.0)
+        bounce = Value("rebound", rebound, "", None, 0.05)
+        if not self.friction:
+            return [depth, bounce]
+        own = self.touch.pull_n / (self.friction * self.touch.load_n)
+        shares = {f"at {share:g} of the limit": share for share in SHARES}
+        shares = {"in the run": min(own, SHARES[0]), **shares}
+        creeps = [
+            Value(f"creep {name}", self.creep_um_per_s(share), "um/s", 0.0, 100.0)
+            for name, share in shares.items()
+        ]
+        slides = [
+            Value(
+                f"slide at {angle:g} degrees over Coulomb",
+                self._slide(math.radians(angle)),
+                "",
+                1.0,
+                0.03,
+            )
+            for angle in (0.0, 45.0)
+        ]
+        hops = [
+            Value(f"hop at {speed:g} m/s", self.hop_mm(speed), "mm", 0.0, 5.0)
+            for speed in (1.0, FAST_M_PER_S)
+        ]
+        impacts = [
+            Value(f"{name} impact over Coulomb", ratio, "", 1.0, 0.1)
+            for name, ratio in ratios.items()
+        ]
+        return [*creeps, *slides, *hops, depth, bounce, *impacts]
 
     # --- measurements ------------------------------------------------------------------------------------------------
 
@@ -290,7 +293,7 @@ class Bench:
         )
         return float(under), float(own)
 
-    def _creep_um_per_s(self, share: float) -> float:
+    def creep_um_per_s(self, share: float) -> float:
         """Return the speed under a share of the limit of friction [um/s], in the second half of a run."""
         pressed = self._pressed_m_per_s2
         pushed = (share * self.friction * pressed, 0.0, -pressed)
@@ -303,7 +306,7 @@ class Bench:
         pull = STEEP * self.friction * pressed
         along = np.array([math.cos(angle_rad), math.sin(angle_rad)])
         table = self._run(SETTLE_S, (*(pull * along), -pressed), -self._rest[0])
-        late = len(table) // 2
+        late = (len(table) - 1) // 2
         seconds = (len(table) - 1 - late) * self.model.opt.timestep
         rates_m_per_s2 = (table[-1] - table[late])[1:] / seconds
         gained, lifted = rates_m_per_s2[:2] @ along, rates_m_per_s2[2]
@@ -367,6 +370,8 @@ def bench(robot: Robot, touch: Touch, constants: FloatArray) -> Bench:
         TargetError: A geom has a type that the bench cannot have.
     """
     model, spec = robot.model, mujoco.MjSpec()
+    if mujoco.mjtGeom.mjGEOM_SDF in model.geom_type[[touch.fixed, touch.moving]]:
+        raise TargetError("a geom of type sdf cannot be measured alone")
     body = spec.worldbody.add_body(name="moving", pos=touch.offset_m)
     body.explicitinertial, body.mass, body.inertia = True, touch.mass_kg, np.ones(3)
     for axis in np.eye(3):
@@ -401,8 +406,6 @@ def _add_geom(
 ) -> None:
     """Give a body of the bench a copy of a geom; a height field becomes a plane."""
     kind = mujoco.mjtGeom(int(model.geom_type[geom]))
-    if kind == mujoco.mjtGeom.mjGEOM_SDF:
-        raise TargetError("a geom of type sdf cannot be measured alone")
     quaternion = pose.as_quat(scalar_first=True)
     added = body.add_geom(
         name=name, type=kind, size=model.geom_size[geom], quat=quaternion

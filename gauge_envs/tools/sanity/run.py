@@ -10,17 +10,12 @@ from gauge_envs.tools.sanity.accepted import accept
 from gauge_envs.tools.sanity.causes import absorb
 from gauge_envs.tools.sanity.fixes.fix import FixSearch
 from gauge_envs.tools.sanity.fixes.named import with_fix
-from gauge_envs.tools.sanity.object_checks import GRASP
-from gauge_envs.tools.sanity.object_checks.measure import (
-    Measurements,
-    applied_check,
-)
+from gauge_envs.tools.sanity.object_checks.measure import Measurements
 from gauge_envs.tools.sanity.readers import configuration as configuration_of
 from gauge_envs.tools.sanity.readers.gymnasium_env import Target
 from gauge_envs.tools.sanity.report import screen_text
 from gauge_envs.tools.sanity.robot.robot import mujoco_warnings
-from gauge_envs.tools.sanity.selection import selection
-from gauge_envs.tools.sanity.target_checks import TARGET_CHECKS
+from gauge_envs.tools.sanity.selection import check_result, selection
 from gauge_envs.tools.sanity.training import TrainingConfiguration
 from gauge_envs.tools.sanity.verdict import Report, SanityResult
 
@@ -37,8 +32,7 @@ def check(
 
     Args:
         target: A `TrainingConfiguration`, or a target of `gauge_envs.tools.sanity.configuration`.
-        only: Ids of checks or patterns such as `creep-*`; when empty, all checks of the target's own model and of rigid
-            bodies. A model with a hand also gets those of grasps.
+        only: Ids of checks or patterns such as `creep-*`; all when empty.
         explain: Whether to find the best fix.
         notify: Function that is called with each result as soon as it is complete.
 
@@ -51,52 +45,22 @@ def check(
     """
     configuration = configuration_of(target)
     chosen = selection(only)
-    has_hand = any(group.is_held for group in configuration.contact_groups)
-    if has_hand and not only:
-        chosen = (*chosen, *GRASP)
-    found = _target_results(configuration, chosen, notify)
-    results = absorb(accept(found, configuration))
-    if explain and configuration.robot is not None:
-        results = [with_fix(result, configuration.robot) for result in results]
     measurements = Measurements(configuration.backend)
-    names = [name for name in chosen if name not in TARGET_CHECKS]
-    objects = _object_results(measurements, configuration, names, notify)
+    results = []
+    for name in chosen:
+        results.append(check_result(measurements, configuration, name))
+        if notify is not None:
+            notify(results[-1])
+    results = absorb(accept(results, configuration))
+    robot = configuration.robot if explain else None
+    if robot is not None:
+        results = [with_fix(result, robot) for result in results]
     report = Report(
         configuration=configuration,
-        checks=(*results, *accept(objects, configuration)),
+        checks=tuple(results),
         versions={**measurements.versions, **package_versions()},
         asked=tuple(name for name in chosen if name in only),
     )
-    if explain:
-        report = FixSearch(report, measurements).run()
+    if robot is not None:
+        report = FixSearch(report, robot, measurements).run()
     return replace(report, screen=screen_text(report))
-
-
-def _target_results(
-    configuration: TrainingConfiguration,
-    names: Sequence[str],
-    notify: Callable[[SanityResult], None] | None,
-) -> list[SanityResult]:
-    """Return the results of checks of the target itself."""
-    results = []
-    for name in names:
-        if name in TARGET_CHECKS:
-            results.append(TARGET_CHECKS[name].result(configuration))
-            if notify is not None:
-                notify(results[-1])
-    return results
-
-
-def _object_results(
-    measurements: Measurements,
-    configuration: TrainingConfiguration,
-    names: Sequence[str],
-    notify: Callable[[SanityResult], None] | None,
-) -> list[SanityResult]:
-    """Return the results of checks of measured objects."""
-    results = []
-    for name in names:
-        results.append(applied_check(measurements, configuration, name).result())
-        if notify is not None:
-            notify(results[-1])
-    return results

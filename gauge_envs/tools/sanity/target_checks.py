@@ -9,6 +9,7 @@ from gauge_envs.tools.sanity.model_checks import (
     free_motion,
     ground,
     joints,
+    own_contacts,
 )
 from gauge_envs.tools.sanity.model_checks.check import ModelCheck
 from gauge_envs.tools.sanity.static_rules import STATIC_RULES
@@ -17,10 +18,8 @@ READ: tuple[ModelCheck, ...] = (
     ground.gravity,
     ground.feet,
     *STATIC_RULES,
-    ground.friction,
     joints.joint_brakes,
     joints.servo_response,
-    joints.free_joint_drag,
 )
 """Checks that simulate nothing."""
 
@@ -32,6 +31,8 @@ RUN: tuple[ModelCheck, ...] = (
     at_rest.constraints,
     at_rest.slip,
     at_rest.hop,
+    own_contacts.foot_creep,
+    own_contacts.grasp_creep,
     at_rest.creep,
     free_motion.spin,
     free_motion.energy,
@@ -39,8 +40,5 @@ RUN: tuple[ModelCheck, ...] = (
 )
 """Checks of runs of the target's own model."""
 
-MODEL_CHECKS = (*READ, *RUN)
-"""Checks of the target's own model."""
-
-TARGET_CHECKS: Mapping[str, ModelCheck] = {check.id: check for check in MODEL_CHECKS}
+TARGET_CHECKS: Mapping[str, ModelCheck] = {check.id: check for check in (*READ, *RUN)}
 """Checks of the target's own model, which run none of the suite's experiments, by their id."""

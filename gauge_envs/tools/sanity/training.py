@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Any, TypeAlias
 
 from gauge_envs.scene import Vector
-from gauge_envs.tools.sanity.robot.foot import FootGeometry
 from gauge_envs.tools.sanity.robot.robot import Robot
 
 Settings: TypeAlias = Mapping[str, Any]
@@ -20,12 +19,8 @@ class Need(StrEnum):
 
     GRAVITY = "gravity"
     CONTACT = "contact"
-    FRICTION = "friction"
-    FOOT = "foot"
     SPACE = "space"
     """Motion in space, not in a plane along an axis of the world."""
-    REBOUND = "rebound"
-    """A restitution."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,17 +30,13 @@ class ContactGroup:
     Attributes:
         geoms: Description of the geoms, such as `floor with torso, bthigh and 6 more`.
         pair_count: Number of pairs of geoms.
-        constants: Effective constants of a contact by MuJoCo's names: `condim`, `friction`, `solref`, ...
         is_used: Whether the experiments run with these constants.
-        is_held: Whether a hand grasps a body with these constants.
         settings: Settings of the backend that give all contacts these constants.
     """
 
     geoms: str
     pair_count: int
-    constants: Settings
     is_used: bool = False
-    is_held: bool = False
     settings: Settings = field(default_factory=dict)
 
 
@@ -63,9 +54,6 @@ class TrainingConfiguration:
         warnings: MuJoCo's warnings on the user's file, which are shown even where all checks pass.
         inapplicable: Needs of checks that the target does not meet, with the reason.
         up: Unit vector away from the ground, shape [3].
-        is_model: Whether it was read from a MuJoCo model, for which this package recommends settings as a whole.
-        foot_geometry: Foot of the robot; None when the target has none, or does not describe it.
-        language: Name of the dialect in which changes are written; see `gauge_envs.tools.sanity.readers`.
         robot: The target's own model, which JSON leaves out; None when it is unknown.
     """
 
@@ -78,20 +66,7 @@ class TrainingConfiguration:
     warnings: tuple[str, ...] = ()
     inapplicable: Mapping[Need, str] = field(default_factory=dict)
     up: Vector = (0.0, 0.0, 1.0)
-    is_model: bool = False
-    foot_geometry: FootGeometry | None = None
-    language: str = "toml"
     robot: Robot | None = field(default=None, compare=False)
-
-    @property
-    def of_hand(self) -> TrainingConfiguration:
-        """The configuration with the contacts of a hand alone in use; unchanged without a hand."""
-        if not any(group.is_held for group in self.contact_groups):
-            return self
-        groups = [
-            replace(group, is_used=group.is_held) for group in self.contact_groups
-        ]
-        return replace(self, contact_groups=tuple(groups))
 
     @property
     def contact_sets(self) -> dict[str, dict[str, Any]]:

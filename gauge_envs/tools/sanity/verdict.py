@@ -24,9 +24,6 @@ WORSE_BY = 1.0
 COVERAGE = 0.95
 """Share of further real trials that the interval of a measured quantity covers."""
 
-RECORDING_FACTOR = 2.0
-"""Half-width of the interval of a single recording, in standard uncertainties."""
-
 
 class SanityVerdict(StrEnum):
     """Distance between a measured value and reality, in half-widths of the interval of reality."""
@@ -110,19 +107,13 @@ class Reality:
 
         Args:
             value: Mean of the trials.
-            scatter: Standard deviation of the trials; for one trial, the standard uncertainty of its measurement.
-            trial_count: Number of trials.
+            scatter: Standard deviation of the trials.
+            trial_count: Number of trials, two or more.
             source: Source of the trials.
         """
-        if trial_count == 1:
-            factor, rationale = (
-                RECORDING_FACTOR,
-                "two standard uncertainties of one recording",
-            )
-        else:
-            quantile = student_t(trial_count - 1, COVERAGE)
-            factor = quantile * (1.0 + 1.0 / trial_count) ** 0.5
-            rationale = f"covers {COVERAGE:.0%} of further trials, from the scatter of {trial_count} trials"
+        quantile = student_t(trial_count - 1, COVERAGE)
+        factor = quantile * (1.0 + 1.0 / trial_count) ** 0.5
+        rationale = f"covers {COVERAGE:.0%} of further trials, from the scatter of {trial_count} trials"
         return cls(
             value,
             factor * scatter,
@@ -179,7 +170,6 @@ class SanityResult:
         accepted: Why the user accepts the finding; empty for one that counts.
         fix: Change of the attributes that the finding names, which was tried; empty where none is known.
         effects: What else follows from the finding, in short sentences.
-        is_own: Whether the check is on the target itself or on its own foot.
     """
 
     id: str
@@ -200,16 +190,15 @@ class SanityResult:
     accepted: str = ""
     fix: str = ""
     effects: tuple[str, ...] = ()
-    is_own: bool = True
 
     @property
     def severity(self) -> Severity:
         """Consequence of the finding."""
         if not self.verdict.is_off or self.cause or self.accepted:
             return Severity.NONE
-        if not self.is_own:
+        if not self.is_on_target:
             return Severity.ADVICE
-        is_error = self.is_on_target and self.verdict is SanityVerdict.FAILED
+        is_error = self.verdict is SanityVerdict.FAILED
         return Severity.ERROR if is_error else Severity.WARNING
 
     @property
@@ -237,8 +226,7 @@ class Fix:
 
     Attributes:
         changes: Changed settings with their new values.
-        line: The change in the target's language, and what it resolves.
-        flag_count: Number of failed checks and warnings before the change.
+        line: The change in the target's language.
         fixed: Value of each of these checks that passes after the change; None where it was not measured.
         lines: The change as lines of a diff, which start with `- ` or `+ `.
         speed_ratio: Simulated time of the target in a second after the change, over that before; None if not measured.
@@ -246,7 +234,6 @@ class Fix:
 
     changes: Settings
     line: str
-    flag_count: int
     fixed: Mapping[str, float | None] = field(default_factory=dict)
     lines: tuple[str, ...] = ()
     speed_ratio: float | None = None

@@ -1,7 +1,5 @@
 """Checks of measured objects: realities, readings against closed forms, rollouts at a configuration's own step."""
 
-from dataclasses import replace
-
 import mujoco
 import numpy as np
 import pytest
@@ -9,25 +7,21 @@ from sanity_cases import CHEETAH, moved
 
 from gauge_envs.backends import backend
 from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo
+from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.fixtures.recording import DivergedError, UnsupportedError
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G
-from gauge_envs.tools.sanity.object_checks import GRASP, RIGID, object_check
-from gauge_envs.tools.sanity.object_checks.check import run_scenario
+from gauge_envs.tools.sanity.object_checks import OBJECT_CHECKS, object_check
+from gauge_envs.tools.sanity.object_checks.check import Scenario, run_scenario
 from gauge_envs.tools.sanity.object_checks.measure import (
     Measurements,
-    applied_check,
     judged,
 )
-from gauge_envs.tools.sanity.training import TrainingConfiguration
 from gauge_envs.tools.sanity.verdict import Reality, SanityVerdict
 
 MUJOCO = backend("mujoco")
 ALONG, UP = np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0])
 
 REALITIES = """
-foot-creep         0         1.4111
-foot-push          0.48192   0.082014
-foot-slide         2.7194    0.082014
 creep-wood         0         1.4111
 creep-plastic      0         2.5323
 creep-metal        0         1.7037
@@ -36,9 +30,6 @@ slide-wood         2.7194    0.082014
 slide-plastic      2.8979    0.16123
 slide-metal        2.6029    0.17345
 slide-turned       2.7194    0.082014
-rebound            0.73693   0.0047673
-grasp-creep        0         10
-grasp-sink         0         200
 """
 """Id, value and half-width of the interval of each check.
 
@@ -49,7 +40,7 @@ The creep bound is sqrt(24 * 0.01 mm * E_RMSE) in 8 frames of 1/30 s, with E_RMS
 def test_the_values_of_reality_and_their_intervals_stay():
     table = [line.split() for line in REALITIES.strip().splitlines()]
     expected = {name: pytest.approx([float(v), float(w)], 1e-4) for name, v, w in table}
-    checks = [object_check(name) for name in (*RIGID, *GRASP)]
+    checks = [object_check(name) for name in OBJECT_CHECKS]
     assert {
         check.id: [check.reality.value, check.reality.tolerance] for check in checks
     } == expected
@@ -71,11 +62,12 @@ def on_board(name, axis):
 
 @pytest.mark.parametrize(("step", "interval"), [(0.01, 0.01), (0.0007, 0.0014)])
 def test_a_scene_runs_at_the_step_of_the_configuration(step, interval):
-    scenario = replace(object_check("rebound").scenario, seconds=0.2)
+    scene = load_experiment("BouncingBall-rubber").scene
+    scenario = Scenario("drop", "BouncingBall-rubber", 0.2, scene)
     settings = {"timestep_s": step, "integrator": "Euler"}
     rollout = run_scenario(MUJOCO, scenario, settings)
     steps = np.round(rollout.times_s / step)
-    fall = -rollout.displacement("ball-2")[:, 2]
+    fall = -rollout.displacement("ball")[:, 2]
     assert rollout.interval_s == pytest.approx(interval)
     assert rollout.times_s[-1] == pytest.approx(0.2, abs=step)
     # A semi-implicit step falls by g h^2 (1 + 2 + ... + n).
@@ -103,7 +95,7 @@ def test_an_engine_that_raises_fails(monkeypatch):
         raise MemoryError("full")
 
     monkeypatch.setattr(SimulationMuJoCo, "body_states", give_up)
-    measured = Measurements(MUJOCO).measure(object_check("rebound"), {})
+    measured = Measurements(MUJOCO).measure(object_check("slide-wood"), {})
     assert (measured.verdict, measured.value) == (SanityVerdict.FAILED, None)
     assert measured.remark.startswith("the engine raised MemoryError: full")
 
@@ -138,37 +130,6 @@ def test_a_slide_is_read_as_acceleration_without_speed():
     assert law == pytest.approx(G * (0.5 - 0.257145 * np.sqrt(0.75)), rel=2e-3)
 
 
-@pytest.mark.parametrize(("restitution", "interval"), [(0.2, 0.002), (0.9, 0.01)])
-def test_rebound_of_an_ideal_ball(restitution, interval):
-    times = np.arange(0.0, 0.85, interval)
-    scene = object_check("rebound").scenario.scene
-    ground_m = scene.body("ground").pose.position_m[2] + 0.03
-    displacements = {}
-    for ball in scene.dynamic_bodies:
-        drop = ball.pose.position_m[2] - ground_m
-        rise = _bounces_m(times, drop, restitution) - drop
-        displacements[ball.name.replace("-", "_")] = np.outer(rise, UP)
-    outcome = read("rebound", times, **displacements)
-    assert outcome.value == pytest.approx(restitution, rel=2e-3)
-
-
-def _bounces_m(times_s, drop_m, restitution):
-    """Height above contact of a ball that loses 1 - e of its speed in an instant."""
-    heights = drop_m - 0.5 * G * times_s**2
-    start, speed = np.sqrt(2.0 * drop_m / G), restitution * np.sqrt(2.0 * G * drop_m)
-    for _ in range(10):
-        since = times_s - start
-        heights = np.where(since >= 0.0, speed * since - 0.5 * G * since**2, heights)
-        start, speed = start + 2.0 * speed / G, restitution * speed
-    return heights
-
-
-def test_a_ball_that_stays_down_is_a_failure():
-    reading = read("rebound", np.linspace(0.0, 0.85, 400))
-    text = "5 of 5 drops do not leave the ground again"
-    assert (reading.value, reading.remark) == (0.0, text)
-
-
 # --- reality ---------------------------------------------------------------------------------------------------------
 
 
@@ -176,7 +137,6 @@ def test_the_interval_covers_95_percent_of_further_trials():
     """Student's t has a quantile of 2.4469 for 6 degrees of freedom and 97.5 %."""
     reality = Reality.measured(5.0, 0.3, 7, "normal")
     assert reality.tolerance == pytest.approx(0.3 * 2.4469 * np.sqrt(8 / 7), 1e-4)
-    assert Reality.measured(5.0, 0.3, 1, "a recording").tolerance == 0.6
 
 
 @pytest.mark.parametrize(
@@ -185,24 +145,6 @@ def test_the_interval_covers_95_percent_of_further_trials():
 )
 def test_the_verdict_of_a_deviation(deviation, verdict):
     assert SanityVerdict.of(deviation) == verdict
-
-
-@pytest.mark.parametrize(
-    ("solref", "has_rebound"),
-    [
-        ((0.02, 1.0), False),
-        ((0.02, 0.5), True),
-        # Stiffness 1e4 and damping b have the damping ratio b / (2 sqrt 1e4).
-        ((-1e4, -100.0), True),
-        ((-1e4, -300.0), False),
-    ],
-)
-def test_an_impact_counts_where_contacts_are_not_damped_critically(solref, has_rebound):
-    target = TrainingConfiguration(
-        name="a", source="", backend="mujoco", settings={"contact_solref": solref}
-    )
-    applied = applied_check(Measurements(MUJOCO), target, "rebound")
-    assert (applied.inapplicable == "") is has_rebound
 
 
 # --- engines ---------------------------------------------------------------------------------------------------------
@@ -241,7 +183,7 @@ def test_a_friction_that_is_four_percent_too_small_is_a_warning():
 def test_the_preset_of_an_engine_passes(name):
     pytest.importorskip(name)
     measurements = Measurements(backend(name))
-    checks = [object_check(name) for name in RIGID]
+    checks = [object_check(name) for name in OBJECT_CHECKS]
     outcomes = {check.id: measurements.measure(check, {}) for check in checks}
     failed = [name for name in outcomes if outcomes[name].verdict.is_off]
-    assert len(checks) > 10 and failed == []
+    assert failed == []

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from robot_faults import FAULTS, faulty_xml, good_xml
 
-from gauge_envs.tools.sanity import configuration
+from gauge_envs.tools.sanity import check, configuration
 from gauge_envs.tools.sanity.model_checks import ground
 from gauge_envs.tools.sanity.model_checks.drives import drives
 from gauge_envs.tools.sanity.target_checks import READ, TARGET_CHECKS
@@ -111,7 +111,7 @@ WRONG = {
     ),
     "no kp": (
         arm(end=MOTOR.format("")),
-        ("robot-drive", "MuJoCo's default kp"),
+        ("robot-drive", "default kp of MuJoCo"),
     ),
     "dense link": (
         arm(
@@ -163,3 +163,20 @@ def test_dry_friction_hides_no_servo_that_grows(seed, tmp_path):
     growth = np.abs(np.linalg.eigvals(matrix)).max()
     flag = flags_of(read(text, tmp_path)).get("robot-drive", "")
     assert ("grows" in flag) == (growth > 1.0) or abs(growth - 1.0) < 0.01, growth
+
+
+STIFF = """<mujoco><option timestep="0.005"/><worldbody><body name="hand" pos="0 0 1">
+  <geom type="box" size=".05 .02 .02"/><body><joint name="finger" type="slide" axis="1 0 0" range="0 .05" {}/>
+  <geom type="box" size=".005 .01 .03" mass=".005"/></body></body></worldbody>
+  <actuator><position joint="finger" kp="2000"/></actuator></mujoco>"""
+"""A servo whose swing of 101 Hz has two steps; with a rotor of 50 g it has seven."""
+
+
+@pytest.mark.parametrize(
+    ("rotor", "fix"),
+    [("", 'joint "finger": armature="0.05"; 1 more'), ('armature=".05" damping="10"', "")],
+)  # fmt: skip
+def test_a_servo_that_the_step_does_not_resolve_gets_a_rotor(rotor, fix, tmp_path):
+    (tmp_path / "hand.xml").write_text(STIFF.format(rotor))
+    (result,) = check(str(tmp_path / "hand.xml"), only=["robot-drive"]).checks
+    assert (result.is_flag, result.fix) == (bool(fix), fix)

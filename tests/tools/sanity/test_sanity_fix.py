@@ -180,8 +180,7 @@ def test_a_change_that_throws_the_model_up_is_rejected(depth_m, is_harm):
     text = BURIED.format(height=0.05 - depth_m)
     soft = configuration(mujoco.MjModel.from_xml_string(text))
     stiff = applied(soft, {"contact_solref": (0.004, 1.0)})
-    harm = motion_harm(soft.robot, stiff.robot)
-    assert ("the model jumps" in harm) is is_harm
+    assert motion_harm(soft.robot, stiff.robot) is is_harm
 
 
 def test_a_connection_that_opens_gets_stiffer_alone(tmp_path):
@@ -212,7 +211,7 @@ def test_a_check_that_no_setting_changes_does_not_hide_the_fix():
     model = mujoco.MjModel.from_xml_string(text)
     report = check(model, only=["density", "rest-height"])
     assert {"density", "rest-height"} <= set(report.flags)
-    assert report.fix.flag_count == len(report.fix.fixed) == 1
+    assert len(report.fix.fixed) == 1
 
 
 @pytest.mark.slow

@@ -87,6 +87,6 @@ def test_the_lines_of_a_recipe_stay(seed):
         f"<mujoco>{recipe.snippet}<worldbody><geom name='floor' type='plane' size='9 9 1'/><body pos='0 0 .05'>"
         f"<freejoint/><geom name='foot' size='.05' mass='{aim.mass_kg}'/></body></worldbody></mujoco>"
     )
-    report = check(model, only=["rebound", "slide-turned", "rest-height"])
+    report = check(model, only=["slide-turned", "rest-height"])
     options = ("timestep", "integrator", "cone", "impratio", "condim", "contact_")
     assert report.fix is None or not [k for k in report.fix.changes if k.startswith(options)]  # fmt: skip

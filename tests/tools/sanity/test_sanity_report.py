@@ -45,7 +45,6 @@ CREEP = SanityResult(
     experiment="GAUGE/SlopeSlider-1-wood",
     unit="mm/s",
     reality=Reality(0.0, tolerance=0.5, source="paper", rationale="cubes <rest>"),
-    is_own=False,
     configured=-28.0,
     verdict=SanityVerdict.FAILED,
     parts=part(-28.0),
@@ -74,13 +73,11 @@ SPIN = replace(
     place='body "box"',
     file="toss.xml",
     line=6,
-    is_own=True,
 )
 DRIFT = replace(SPIN, verdict=SanityVerdict.WARNING, parts=part(0.6))
 FIX = Fix(
     changes={"cone": "elliptic"},
-    line='<option cone="elliptic"/>: resolves 1 check',
-    flag_count=2,
+    line='<option cone="elliptic"/>',
     fixed={"creep-wood": 0.5},
     lines=('- <option timestep="0.01"/>', '+ <option cone="elliptic"/>'),
     speed_ratio=0.8,

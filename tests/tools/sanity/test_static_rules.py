@@ -49,10 +49,10 @@ MISTAKES = [
         {"angle": "", "range": "-57 86"},
     ),
     ("density", "lead has", {"mass": "50", "inertia": ".05 .45 .45"}, {}),
-    ("inertia", "8.1 times", {"inertia": ".01 .08 .08"}, {"inertia": ".002 .01 .01"}),
+    ("inertia", "8.06 times", {"inertia": ".01 .08 .08"}, {"inertia": ".002 .01 .01"}),
     (
         "inertia",
-        "0.081 times",
+        "0.0806 times",
         {"inertia": "1e-4 8e-4 8e-4"},
         {"inertia": "5e-4 .006 .006"},
     ),
@@ -300,3 +300,29 @@ def test_a_leg_gets_the_value_of_the_others(name, tmp_path, gauge):
     assert [fix for result in report.flags.values() if fix in result.fix], report.flags
     gauge("sanity", "robot.xml", "--only", only, "--fix", "fixed.xml")
     assert not check(str(tmp_path / "fixed.xml"), only=[only]).flags
+
+
+ROLL = """<mujoco><worldbody><body name="{side}_ankle"><joint name="{name}_{last}" axis="1 0 0"/>
+  <joint name="{name}_{other}" axis="0 1 0"/><geom size=".1"/></body></worldbody></mujoco>"""
+"""Two joints of an ankle: a roll with a pitch or yaw, or one of the other side."""
+
+LIMBS = ("LEG_ANKLE", "arm_wrist", "J4", "hip_flex")
+
+
+@pytest.mark.parametrize(("last", "other"), [("R", "P"), ("R", "Y"), ("r", "p")])
+def test_a_roll_beside_a_pitch_is_no_right_side(last, other, tmp_path):
+    for name in LIMBS:
+        words = {"name": name, "side": "left", "last": last}
+        assert not flags_of(ROLL.format(**words, other=other), tmp_path)
+        wrong = flags_of(ROLL.format(**words, other="2"), tmp_path)
+        assert "on the other side" in wrong["names"]
+
+
+@pytest.mark.parametrize(
+    ("span", "is_wrong"),
+    [(6, False), (180, True), (720, True), (7200, True), (1e5, False), (2e16, False)],
+)
+def test_a_range_without_an_end_is_no_range_in_degrees(span, is_wrong, tmp_path):
+    for low in (0, -0.5 * span, -span):
+        text = ARM.format(**{**RIGHT, "range": f"{low} {low + span}"})
+        assert ("range-unit" in flags_of(text, tmp_path)) is is_wrong

@@ -56,27 +56,22 @@ RECOMMENDED_MUJOCO: dict[str, Any] = {
 FEW_ITERATIONS = {"iterations": 4, "ls_iterations": 20}
 """Fewest iterations of MuJoCo's Newton solver with which bodies slide by Coulomb's law."""
 
-CANDIDATES: Mapping[str, Sequence[Settings]] = {
-    "mujoco": (
-        FEW_ITERATIONS,
-        FEW_ITERATIONS | ELLIPTIC,
-        {"o_friction": None},
-        {"refsafe": True},
-        MARGIN,
-        {"condim": 3},
-        *CONTACTS,
-        *(ELLIPTIC | contact for contact in ({}, *CONTACTS)),
-        ELLIPTIC | {"impratio": 10.0},
-        ELLIPTIC | {"impratio": 10.0} | MARGIN,
-        DAMPED,
-        STEP,
-        STEP | DAMPED,
-        RECOMMENDED_MUJOCO,
-        RECOMMENDED_MUJOCO | STIFF,
-        RECOMMENDED_MUJOCO | FIRM | {"timestep_s": 0.001},
-    ),
-}
-"""Changes that are tried, the cheapest first, by backend."""
+CANDIDATES: Sequence[Settings] = (
+    FEW_ITERATIONS,
+    {"refsafe": True},
+    MARGIN,
+    {"condim": 3},
+    *CONTACTS,
+    *(ELLIPTIC | contact for contact in ({}, *CONTACTS)),
+    ELLIPTIC | {"impratio": 10.0},
+    ELLIPTIC | {"impratio": 10.0} | MARGIN,
+    DAMPED,
+    STEP,
+    STEP | DAMPED,
+    RECOMMENDED_MUJOCO,
+    RECOMMENDED_MUJOCO | FIRM | {"timestep_s": 0.001},
+)
+"""Changes that are tried, the cheapest first."""
 
 RAISED = ("iterations", "ls_iterations")
 """Settings that a change only raises."""
@@ -129,17 +124,17 @@ def candidates_of(
     """Return the changes that differ from the settings of a configuration, without those that a recipe wrote.
 
     Args:
-        configuration: The configuration.
+        configuration: The configuration of a model.
         check: Id of the check of the target's own model that they are for; empty for those of measured objects.
     """
     sets = [configuration.settings, *configuration.contact_sets.values()]
     candidates = MODEL_CANDIDATES.get(check, ())
     if not check:
-        candidates = CANDIDATES.get(configuration.backend, ())
+        candidates = CANDIDATES
         if sets[0].get("iterations", math.inf) < FEW_ITERATIONS["iterations"]:
             # Other changes let a body slide that starts to move, and not one that has rested.
             candidates = [FEW_ITERATIONS | {**change} for change in candidates]
-    if candidates and configuration.is_model:
+    if candidates:
         step_s = configuration.settings["timestep_s"]
         smaller = [{"timestep_s": step_s * factor} for factor in (0.5, 0.25)]
         candidates = [*candidates, *smaller]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-from dataclasses import replace
 
 import mujoco
 import numpy as np
@@ -44,7 +43,7 @@ Places = dict[str, list[Place]]
 def applied(
     configuration: TrainingConfiguration, changes: Settings
 ) -> TrainingConfiguration:
-    """Return a configuration with changes.
+    """Return the configuration of a model with changes.
 
     Args:
         configuration: The configuration.
@@ -54,13 +53,7 @@ def applied(
         ParameterError: MuJoCo rejects the changed model.
     """
     robot = configuration.robot
-    if robot is None:
-        groups = tuple(
-            replace(group, settings={**group.settings, **changes})
-            for group in configuration.contact_groups
-        )
-        settings = {**configuration.settings, **changes}
-        return replace(configuration, settings=settings, contact_groups=groups)
+    assert robot is not None, "only the settings of a model change"
     model = changed_model(robot, changes)[0]
     try:
         mujoco.mj_forward(model, mujoco.MjData(model))

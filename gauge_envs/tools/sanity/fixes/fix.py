@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from heapq import heapify, heappop, heappush
@@ -10,7 +9,6 @@ from typing import Any
 
 from gauge_envs.errors import GaugeError
 from gauge_envs.names import first_names
-from gauge_envs.pages.text import counted
 from gauge_envs.tools.sanity.fixes.candidates import candidates_of
 from gauge_envs.tools.sanity.fixes.change import applied
 from gauge_envs.tools.sanity.fixes.harm import (
@@ -18,14 +16,11 @@ from gauge_envs.tools.sanity.fixes.harm import (
     motion_harm,
     speed_ratio,
 )
+from gauge_envs.tools.sanity.fixes.mjcf_settings import paste_text
 from gauge_envs.tools.sanity.fixes.text_change import write_change
-from gauge_envs.tools.sanity.object_checks import object_check
-from gauge_envs.tools.sanity.object_checks.measure import (
-    Measurements,
-    applied_check,
-    worst_of,
-)
-from gauge_envs.tools.sanity.readers import dialect
+from gauge_envs.tools.sanity.object_checks.measure import Measurements
+from gauge_envs.tools.sanity.robot.robot import Robot
+from gauge_envs.tools.sanity.selection import check_result
 from gauge_envs.tools.sanity.target_checks import TARGET_CHECKS
 from gauge_envs.tools.sanity.training import Settings, TrainingConfiguration
 from gauge_envs.tools.sanity.verdict import (
@@ -42,23 +37,27 @@ class FixSearch:
     """Searches the smallest change of settings that resolves most checks without harm, by trial.
 
     Args:
-        report: Report of all checks.
+        report: Report of all checks of a model.
+        robot: The model.
         measurements: Measurements on the engine of the checks.
     """
 
-    def __init__(self, report: Report, measurements: Measurements) -> None:
-        self.report, self.measurements = report, measurements
-        self.configuration = configuration = report.configuration
-        self.dialect = dialect(configuration.language)
+    def __init__(
+        self, report: Report, robot: Robot, measurements: Measurements
+    ) -> None:
+        self.report, self.robot, self.measurements = report, robot, measurements
+        self.configuration = report.configuration
         changeable = [
             result
             for result in report.checks
             if result.id not in TARGET_CHECKS or TARGET_CHECKS[result.id].is_simulated
         ]
-        # Short scenes come first, the target's own model last.
+        # The target's own model comes last.
         self._before = {
             result.id: _outcome_of(result)
-            for result in sorted(changeable, key=lambda result: _seconds(result.id))
+            for result in sorted(
+                changeable, key=lambda result: result.id in TARGET_CHECKS
+            )
             if result.is_flag or result.verdict is SanityVerdict.PASSED
         }
         self._flags = [result.id for result in changeable if result.is_flag]
@@ -82,7 +81,7 @@ class FixSearch:
         """Return the changes that may resolve checks."""
         model_change = self._model_change()
         candidates = [model_change] if model_change else []
-        if any(name not in TARGET_CHECKS for name in self._flags):
+        if any(map(_is_general, self._flags)):
             general = candidates_of(self.configuration)
             candidates += [{**changes, **model_change} for changes in general]
         return candidates
@@ -92,7 +91,7 @@ class FixSearch:
         change: dict[str, Any] = {}
         # Wrong forces of the solver may explain all other findings.
         for name in sorted(self._flags, key="model-solver".__ne__):
-            if name not in TARGET_CHECKS:
+            if _is_general(name):
                 continue
             values = {self._before[name].value}
             candidates = candidates_of(self.configuration, name)
@@ -124,17 +123,12 @@ class FixSearch:
         """Return the outcome of a check after changes."""
         key = str(sorted(changes.items())), name
         if key not in self._known:
-            self._known[key] = self._measure(self._changed(changes), name)
+            changed = self._changed(changes)
+            self._known[key] = PartOutcome(verdict=SanityVerdict.NOT_MEASURED)
+            if changed is not None:
+                result = check_result(self.measurements, changed, name)
+                self._known[key] = _outcome_of(result)
         return self._known[key]
-
-    def _measure(self, changed: TrainingConfiguration | None, name: str) -> PartOutcome:
-        unmeasured = PartOutcome(verdict=SanityVerdict.NOT_MEASURED)
-        if changed is None:
-            return unmeasured
-        if name in TARGET_CHECKS:
-            return _outcome_of(TARGET_CHECKS[name].result(changed))
-        outcomes = applied_check(self.measurements, changed, name).outcomes()
-        return worst_of(outcomes)[1] if outcomes else unmeasured
 
     def _resolves(self, changes: Settings, name: str) -> bool:
         return self._outcome(changes, name).verdict is SanityVerdict.PASSED
@@ -148,7 +142,7 @@ class FixSearch:
         Of equal changes, those with fewer settings come first, then the order of the candidates counts. A check runs
         only while its candidate may still resolve the most.
         """
-        objects = {*self._flags} - {*TARGET_CHECKS}
+        objects = [*filter(_is_general, self._flags)]
         names = [name for name in self._before if name in objects]
         queue = [(0, len(change), index, 0) for index, change in enumerate(candidates)]
         heapify(queue)
@@ -163,14 +157,10 @@ class FixSearch:
     def _harms(self, changes: Settings) -> bool:
         """Return whether a change makes a check worse, or the model or sliding bodies jump."""
         changed = self._changed(changes)
-        if changed is None:
+        if changed is None or contact_harm(self.configuration, changed):
             return True
-        if changed.backend == "mujoco" and contact_harm(self.configuration, changed):
-            return True
-        robot = self.configuration.robot
-        if robot and changed.robot and motion_harm(robot, changed.robot):
-            return True
-        return any(
+        assert changed.robot is not None, "a model stays one"
+        return motion_harm(self.robot, changed.robot) or any(
             _is_worse(before, self._outcome(changes, name))
             for name, before in self._before.items()
         )
@@ -188,45 +178,29 @@ class FixSearch:
         return smallest
 
     def _fix(self, changes: Settings) -> Fix:
-        """Return a change with what each of its settings resolves alone."""
-        resolved = self._resolved(changes)
-        pasted, effect = self.dialect.paste_text(changes), self._effect(resolved)
-        fix = Fix(
-            changes=changes,
-            line=f"{pasted}: {effect}",
-            flag_count=len(self._flags),
-            fixed={name: self._outcome(changes, name).value for name in resolved},
-        )
-        robot, changed = self.configuration.robot, self._changed(changes)
-        if robot is None or changed is None or changed.robot is None:
-            return fix
-        text, hidden = write_change(robot, self.dialect, changes)
-        lines, added = [], []
-        if text is not None:
-            lines = text.diff
-            added = [line[2:] for line in lines if line.startswith("+")]
+        """Return a change as text, with what it resolves."""
+        changed, resolved = self._changed(changes), self._resolved(changes)
+        assert changed is not None and changed.robot is not None, "it was applied"
+        text, hidden = write_change(self.robot, changes)
+        lines = [] if text is None else text.diff
+        added = [line[2:] for line in lines if line.startswith("+")]
         also = f", also in {first_names(hidden)}" if hidden else ""
-        return replace(
-            fix,
-            line=f"{' and '.join(added) or pasted}{also}: {effect}",
+        return Fix(
+            changes=changes,
+            line=f"{' and '.join(added) or paste_text(changes)}{also}",
+            fixed={name: self._outcome(changes, name).value for name in resolved},
             lines=tuple(lines),
-            speed_ratio=speed_ratio(robot, changed.robot),
+            speed_ratio=speed_ratio(self.robot, changed.robot),
         )
 
-    # --- texts -------------------------------------------------------------------------------------------------------
 
-    def _effect(self, resolved: Sequence[str]) -> str:
-        """Return how many checks are resolved, and which are not, as a text."""
-        text = f"resolves {counted(len(resolved), 'check')}"
-        failing = [name for name in self._flags if name not in resolved]
-        return f"{text}, not {', '.join(failing)}" if failing and resolved else text
+OWN_CONTACTS = ("foot-creep", "grasp-creep")
+"""Checks of contacts of the target, which the changes for measured objects may resolve."""
 
 
-def _seconds(name: str) -> float:
-    """Return the simulated time of a check; infinite on the target's own model."""
-    if name in TARGET_CHECKS:
-        return math.inf
-    return object_check(name).scenario.seconds
+def _is_general(name: str) -> bool:
+    """Return whether the changes for measured objects may resolve a check."""
+    return name not in TARGET_CHECKS or name in OWN_CONTACTS
 
 
 def _outcome_of(result: SanityResult) -> PartOutcome:

@@ -113,17 +113,13 @@ SPEED_BLOCKS, BLOCK_S = 4, 0.25
 """Number and shortest time [s] of the blocks in which the speed of a model is measured; the fastest one counts."""
 
 
-def motion_harm(before: Robot, after: Robot) -> str:
-    """Return how a change throws a model up from its start, or lets its robot fall; empty if it does not."""
+def motion_harm(before: Robot, after: Robot) -> bool:
+    """Return whether a change throws a model up from its start, or lets its robot fall within 2 s."""
     if not before.model.nv:
-        return ""
+        return False
     rise_mm, stands = _motion(before)
     new_rise_mm, stands_then = _motion(after)
-    if hops_more(rise_mm, new_rise_mm):
-        return f"the model jumps {new_rise_mm:.3g} mm from its start"
-    if stands and not stands_then:
-        return "the robot falls within 2 s, before it stands"
-    return ""
+    return hops_more(rise_mm, new_rise_mm) or (stands and not stands_then)
 
 
 def _motion(robot: Robot) -> tuple[float, bool]:

@@ -13,8 +13,10 @@ from gauge_envs.backends.mujoco.contact_table import contact_pairs
 from gauge_envs.tools.sanity.fixes.harm import motion_harm
 from gauge_envs.tools.sanity.fixes.text_change import TextChange
 from gauge_envs.tools.sanity.model_checks.check import Change
+from gauge_envs.tools.sanity.model_checks.joints import joint_brakes
 from gauge_envs.tools.sanity.robot.robot import Place, Robot, spec_element
 from gauge_envs.tools.sanity.static_rules import STATIC_RULES
+from gauge_envs.tools.sanity.target_checks import TARGET_CHECKS
 from gauge_envs.tools.sanity.verdict import SanityResult
 
 SPEC_NAMES = {"joint": "target", "actuatorfrcrange": "actfrcrange"}
@@ -23,23 +25,21 @@ SPEC_NAMES = {"joint": "target", "actuatorfrcrange": "actfrcrange"}
 POLYNOMIALS = ("damping", "stiffness")
 """Attributes whose higher coefficients a file may leave out."""
 
-RULES = {rule.id: rule for rule in STATIC_RULES}
-
 
 def with_fix(result: SanityResult, robot: Robot) -> SanityResult:
     """Return a result with the change of the attributes that it names; without one that does not help, or harms."""
-    if result.id not in RULES or not result.is_flag or robot.spec is None:
+    check = TARGET_CHECKS.get(result.id)
+    if check is None or not result.is_flag or robot.spec is None:
         return result
-    named = RULES[result.id]
-    changes = named.finding(robot).changes
+    changes = check.finding(robot).changes
     corrected = _corrected(robot, changes) if changes else None
     if corrected is None:
         return result
     counts = [
         rule.finding(corrected).value - rule.finding(robot).value
-        for rule in STATIC_RULES
+        for rule in (*STATIC_RULES, joint_brakes)
     ]
-    is_left = named.finding(corrected).value > 0.0
+    is_left = check.deviation(check.finding(corrected).value) > 1.0
     if is_left or max(counts) > 0.0 or motion_harm(robot, corrected):
         return result
     (place, change), *others = changes
@@ -89,7 +89,7 @@ def write_named(
     """Write the changes of results with a fix into a text, and return the ids of those that the text shows."""
     written = set()
     for result in results:
-        changes = RULES[result.id].finding(robot).changes if result.fix else ()
+        changes = TARGET_CHECKS[result.id].finding(robot).changes if result.fix else ()
         for place, (key, value) in changes:
             element = text.model.element(robot.model, *place)
             if key == "exclude":

@@ -12,7 +12,7 @@ from gauge_envs.tools.sanity.fixes.change import (
     changed_model,
     reached_by_default,
 )
-from gauge_envs.tools.sanity.readers.dialect import Dialect
+from gauge_envs.tools.sanity.fixes.mjcf_settings import ATTRIBUTES
 from gauge_envs.tools.sanity.robot.model_text import ATTRIBUTE, Element, ModelText
 from gauge_envs.tools.sanity.robot.robot import Robot
 from gauge_envs.tools.sanity.training import Settings
@@ -218,7 +218,7 @@ class TextChange:
 
 
 def write_change(
-    robot: Robot, dialect: Dialect, changes: Settings
+    robot: Robot, changes: Settings
 ) -> tuple[TextChange | None, list[str]]:
     """Return a change in the text of a model, and names of elements whose attributes the text does not show.
 
@@ -226,31 +226,30 @@ def write_change(
 
     Args:
         robot: The robot before the change; without a text, there is none after it.
-        dialect: Dialect of the model.
         changes: The change, as `changed_model` takes it.
     """
     text = None if robot.text is None else TextChange(robot.text)
     hidden: list[str] = []
     _, places = changed_model(robot, changes)
     sections: dict[tuple[str, ...], dict[str, str]] = {}
-    for setting in dialect.settings:
-        if setting.name not in changes:
+    for name, (place, key, text_of) in ATTRIBUTES.items():
+        if name not in changes:
             continue
-        value = dialect.value_text(setting, changes[setting.name])
-        is_missing = setting.name not in ELEMENT_FIELDS
-        reached = reached_by_default(robot, setting.name)
-        for kind, number in places.get(setting.name, ()):
+        value = text_of(changes[name])
+        is_missing = name not in ELEMENT_FIELDS
+        reached = reached_by_default(robot, name)
+        for kind, number in places.get(name, ()):
             element = None
             if robot.text is not None:
                 element = robot.text.element(robot.model, kind, number)
             is_default = kind == "geom" and number in reached
             if text is not None and (element is not None or is_default):
-                is_missing |= not text.give(element, kind, setting.key, value)
+                is_missing |= not text.give(element, kind, key, value)
             elif not is_default:
                 hidden.append(robot.place_text((kind, number)))
         if is_missing:
-            tags = SECTION_TAGS.get(setting.place, ("default", setting.place))
-            sections.setdefault(tags, {})[setting.key] = value
+            tags = SECTION_TAGS.get(place, ("default", place))
+            sections.setdefault(tags, {})[key] = value
     if text is not None:
         for tags, values in sections.items():
             text.put(tags, values)

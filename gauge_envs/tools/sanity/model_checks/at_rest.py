@@ -7,6 +7,7 @@ from operator import attrgetter
 import mujoco
 import numpy as np
 
+from gauge_envs.pages.text import digits_text
 from gauge_envs.tools.sanity.model_checks.check import Finding, leave_to, model_check
 from gauge_envs.tools.sanity.model_checks.free_motion import solver
 from gauge_envs.tools.sanity.model_checks.runs import LATE, ON_PLANE, Run, settled
@@ -56,9 +57,9 @@ def overlap(robot: Robot) -> Finding:
         depth_m, size_m = -float(contact.dist), body_size_m(model, small)
         if speeds[small] <= RESTING_MM_PER_S:
             names = [name_of(robot.model, "body", body) for body in (small, large)]
-            text = f"{names[0]} sinks {1e3 * depth_m:.3g} of its {1e3 * size_m:.3g} mm"
-            place, remark = ("body", small), f"{text} into {names[1]}"
-            findings.append(Finding(value=depth_m / size_m, place=place, remark=remark))
+            place, share = ("body", small), depth_m / size_m
+            remark = f"{names[0]} sinks {1e3 * depth_m:.3g} mm into {names[1]}, {share:.0%} of its size"
+            findings.append(Finding(value=share, place=place, remark=remark))
     return worst(findings)
 
 
@@ -113,7 +114,7 @@ def slip(robot: Robot) -> Finding:
             body = max(bodies, key=lambda number: int(model.body_treeid[number]))
             speed = 1e3 * float(np.linalg.norm(speeds))
             name = name_of(robot.model, "body", body)
-            text = f"{name} slips at {speed:.3g} mm/s, with {share:.3g} of the friction that holds it"
+            text = f"{name} slips at {digits_text(speed)} mm/s under {share:.3g} of the friction that holds it"
             findings.append(Finding(value=speed, place=("body", body), remark=text))
     return worst(findings)
 
@@ -131,7 +132,7 @@ def _joint_slips(robot: Robot) -> list[Finding]:
         speed = 1e3 * float(arm_m * abs(data.efc_vel[row]))
         if share < CONE:
             name, place = name_of(model, "joint", joint), ("joint", joint)
-            text = f"{name} moves its limb at {speed:.3g} mm/s, with {share:.3g} of the dry friction that holds it"
+            text = f"{name} moves its limb at {digits_text(speed)} mm/s under {share:.2g} of its dry friction"
             findings.append(Finding(value=speed, place=place, remark=text))
     return findings
 
@@ -227,7 +228,8 @@ def _opening(
     else:
         size, units = 1.0, ("rad", "N m")
     names = " and ".join(name_of(robot.model, noun, end) for end in ends)
-    remark = f"{names}: {residual:.3g} {units[0]} {text} under {force:.3g} {units[1]}"
+    verb = "are" if noun == "body" else "is"
+    remark = f"{names} {verb} {residual:.3g} {units[0]} {text} under {digits_text(force)} {units[1]}"
     return residual / float(size or model.stat.meansize), remark
 
 
@@ -266,7 +268,7 @@ def hop(robot: Robot) -> Finding:
             rise = 1e3 * float(
                 heights_m[lift:][:flight].max() - heights_m[before].min()
             )
-            text = f"{name_of(model, 'body', body)} hops {rise:.3g} mm off its plane"
+            text = f"{name_of(model, 'body', body)} hops {digits_text(rise)} mm off its plane"
             findings.append(Finding(value=rise, place=("body", body), remark=text))
     return worst(findings)
 

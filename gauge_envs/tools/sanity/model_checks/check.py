@@ -17,9 +17,9 @@ Example:
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, TypeAlias
 
 import mujoco
 
@@ -39,10 +39,6 @@ Change: TypeAlias = tuple[str, Any]
 
 WHOLE = "the model"
 """Part of a check of the model as a whole."""
-
-USUAL_MARGIN = 1.1
-"""Largest ratio to a usual limit, which is no law, that passes."""
-
 
 # --- what a check measures -------------------------------------------------------------------------------------------
 
@@ -68,48 +64,6 @@ class Finding:
     is_usual: bool = False
     deviation: float | None = None
     changes: Sequence[tuple[Place, Change]] = ()
-
-
-class Case(NamedTuple):
-    """One part of a check.
-
-    Attributes:
-        ratio: Its value over the limit of its kind.
-        place: Element of the model.
-        name: Name of the part.
-        text: What happens there, with its numbers.
-        is_usual: Whether the limit says what is usual.
-    """
-
-    ratio: float
-    place: Place
-    name: str
-    text: str
-    is_usual: bool = False
-
-
-def worst_case(cases: Iterable[Case], limit: float = 1.0) -> Finding:
-    """Return the finding of the largest case, with the number of other parts beyond the limit."""
-    parts: dict[str, float] = {}
-    worst = Case(0.0, ("body", 0), "", "")
-    for case in cases:
-        ratio = float(case.ratio)
-        if case.is_usual and limit < ratio <= USUAL_MARGIN * limit:
-            ratio = limit
-        parts[case.name] = max(ratio, parts.get(case.name, 0.0))
-        if ratio > worst.ratio:
-            worst = case._replace(ratio=ratio)
-    if worst.ratio <= limit:
-        return Finding(value=worst.ratio, parts=parts)
-    more = sum(ratio > limit for ratio in parts.values()) - 1
-    others = f"; {more} more" if more else ""
-    return Finding(
-        value=worst.ratio,
-        remark=worst.text + others,
-        place=worst.place,
-        parts=parts,
-        is_usual=worst.is_usual,
-    )
 
 
 # --- checks ----------------------------------------------------------------------------------------------------------

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import mujoco
 import numpy as np
 
 from gauge_envs.scene.geometry import BoolArray, FloatArray
-from gauge_envs.tools.sanity.model_checks.check import Case
+from gauge_envs.tools.sanity.model_checks.check import Change
+from gauge_envs.tools.sanity.model_checks.rule import Fault
 from gauge_envs.tools.sanity.robot.robot import (
     Robot,
     acts_on_joints,
@@ -18,6 +20,7 @@ from gauge_envs.tools.sanity.robot.robot import (
     once,
     random_poses,
 )
+from gauge_envs.tools.sanity.verdict import MAX_WARNING
 
 SERVO_ERROR_RAD = 0.5
 """Error at which a servo without a torque limit is read [rad]: a quarter of the range of a common joint."""
@@ -79,9 +82,25 @@ class Drive(NamedTuple):
             return self.limit
         return self.kp * SERVO_ERROR_RAD * self.scale
 
-    def case(self, ratio: float, text: str, is_usual: bool = False) -> Case:
-        """Return a part of a check of the joint; see `Case`."""
-        return Case(ratio, ("joint", self.joint), self.name, text, is_usual)
+    def faults(
+        self,
+        ratio: float,
+        text: str,
+        is_usual: bool = False,
+        changes: Sequence[Change | None] = (None,),
+    ) -> Iterator[Fault]:
+        """Yield a fault of the joint where a value exceeds its limit; see `Fault`.
+
+        Args:
+            ratio: The value over the limit.
+            text: What is wrong.
+            is_usual: Whether the limit says what is usual, so that a tenth beyond it passes.
+            changes: Attributes that correct it.
+        """
+        place = "joint", self.joint
+        is_error = not is_usual and ratio > MAX_WARNING
+        for change in changes if ratio > 1.0 + 0.1 * is_usual else ():
+            yield Fault(place, self.name, text, ratio, is_error, change)
 
 
 @once

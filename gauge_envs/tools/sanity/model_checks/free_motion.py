@@ -90,10 +90,10 @@ def spin(robot: Robot) -> Finding:
         raise NotApplicableError("no body of the model is free")
     flying = _in_flight(model, "gravity")
     changes, flight_s = _flight(flying, free)
-    text = f"after {flight_s:.3g} s of flight with a step of {model.opt.timestep:g} s"
+    text = f"{flight_s:.3g} s of free flight, with a step of {1e3 * model.opt.timestep:g} ms"
     if flight_s < 0.99 * seconds(model, FLIGHT_S):
         leave_to(holds, robot)
-        return Finding(value=np.inf, remark=f"the state diverges {text}")
+        return Finding(value=np.inf, remark=f"the state diverges after {text}")
     number, change = int(changes.argmax()), float(changes.max())
     body = int(model.jnt_bodyid[free[number]])
     if change > CONSERVED and _flight(refined(flying), free)[0][number] > 0.5 * change:
@@ -101,7 +101,7 @@ def spin(robot: Robot) -> Finding:
     return Finding(
         value=change,
         place=("body", body),
-        remark=f"angular momentum of {name_of(robot.model, 'body', body)} is {100.0 * change:.3g} % off {text}",
+        remark=f"the spin of {name_of(robot.model, 'body', body)} changes by {100.0 * change:.4g} % in {text}",
     )
 
 
@@ -137,7 +137,7 @@ def holds(robot: Robot) -> Finding:
         return Finding(value=1.0)
     return Finding(
         value=min(diverged_s / REST_S, 0.3),
-        remark=f"the state diverges after {diverged_s:.3g} s {motion}, with a step of {model.opt.timestep:g} s",
+        remark=f"the state diverges after {diverged_s:.3g} s {motion}, with a step of {1e3 * model.opt.timestep:g} ms",
     )
 
 
@@ -188,10 +188,10 @@ def energy(robot: Robot) -> Finding:
         return Finding(value=np.inf, remark="a free motion of its joints diverges")
     gained_j = float(totals_j.max() - totals_j[0])
     lost_j = float(totals_j[0] - totals_j.min()) if is_undamped else 0.0
-    change_j, word = max((gained_j, "gains"), (lost_j, "has no damping and loses"))
+    change_j, word = max((gained_j, "gain"), (lost_j, "have no damping and lose"))
     return Finding(
         value=change_j / max(largest_j, 1e-9),
-        remark=f"a free motion of its joints {word} {change_j:.3g} of {largest_j:.3g} J in {data.time:.3g} s",
+        remark=f"its joints {word} {change_j:.4g} of {largest_j:.4g} J in {data.time:.3g} s of free motion",
     )
 
 
@@ -236,5 +236,5 @@ def solver(robot: Robot) -> Finding:
     return Finding(
         value=value,
         remark=f"forces of {name} with {model.opt.iterations} iterations and a "
-        f"{'sparse' if mujoco.mj_isSparse(model) else 'dense'} Jacobian are {100.0 * value:.3g} % off",
+        f"{'sparse' if mujoco.mj_isSparse(model) else 'dense'} Jacobian are {100.0 * value:.4g} % off",
     )

@@ -10,25 +10,20 @@ import numpy as np
 
 from gauge_envs.scene import GRAVITY_M_PER_S2
 from gauge_envs.scene.geometry import FloatArray
-from gauge_envs.tools.sanity.model_checks.check import (
-    Case,
-    Finding,
-    model_check,
-    worst_case,
-)
+from gauge_envs.tools.sanity.model_checks.check import Finding, model_check
 from gauge_envs.tools.sanity.model_checks.drives import (
     drives,
     loads,
     servos,
     start,
 )
+from gauge_envs.tools.sanity.model_checks.rule import Fault, rule
 from gauge_envs.tools.sanity.model_checks.runs import settled
 from gauge_envs.tools.sanity.robot.robot import (
     Robot,
     Standing,
     chain_of,
     geom_name,
-    joints_of,
     switched_off,
 )
 from gauge_envs.tools.sanity.robot.standing import SOLE_WITHIN, support_m
@@ -88,12 +83,8 @@ def floor_m(robot: Robot) -> float:
 def feet(robot: Robot) -> Finding:
     """Return the number of limbs that reach the ground and cannot touch it."""
     model = robot.model
-    if (plane := _untouched_plane(robot)) is not None:
-        text = f"no geom of the robot can touch {geom_name(model, plane)}: it falls through it"
-        place = ("geom", plane)
-        return Finding(value=1.0, remark=text, place=place, deviation=math.inf)
     standing = standing_of(robot)
-    lows = {geom: point[2] for geom, point in standing.support_m.items()}
+    lows = standing.support_m
     within_m = SOLE_WITHIN * standing.height_m
     carrying = {
         body for geom in lows for body in chain_of(model, int(model.geom_bodyid[geom]))
@@ -102,7 +93,7 @@ def feet(robot: Robot) -> Finding:
     lame: dict[int, int] = {}
     for geom in np.flatnonzero(np.isin(model.geom_bodyid, robot.bodies)).tolist():
         limb = chain_of(model, int(model.geom_bodyid[geom]))
-        low = support_m(robot, geom)[2]
+        low = support_m(robot, geom)
         near = [lows[sole] for sole in lows if model.geom_bodyid[sole] in limb[:2]]
         # Drawn geoms of a limb that touches are no fault; colliding geoms below its contact are.
         is_apart = limb[0] not in carrying and low <= standing.ground_m + within_m
@@ -119,59 +110,6 @@ def feet(robot: Robot) -> Finding:
         place=("geom", next(iter(lame.values()))),
         parts=dict.fromkeys(names, 1.0),
     )
-
-
-def _untouched_plane(robot: Robot) -> int | None:
-    """Return the plane of the world that no geom of a free robot with motors can touch; None without one."""
-    model = robot.model
-    is_floor = model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE
-    is_floor &= (model.geom_contype | model.geom_conaffinity) != 0
-    floors = np.flatnonzero(is_floor & (model.geom_bodyid == 0)).tolist()
-    is_free = joints_of(model, "FREE") & np.isin(model.jnt_bodyid, robot.bodies)
-    falls = model.opt.gravity.any() and not switched_off(model, "gravity", "contact")
-    is_touched = np.isin(robot.pairs.geoms, floors).any()
-    if is_touched or not (floors and is_free.any() and falls and drives(robot)):
-        return None
-    return int(floors[0])
-
-
-# --- friction --------------------------------------------------------------------------------------------------------
-
-LOW_FRICTION, HIGH_FRICTION = 0.05, 3.0
-"""Friction of feet: wet ice on rubber has 0.05 and more, racing tyres less than 3."""
-
-
-@model_check(
-    "robot-friction",
-    title="friction of a foot, over the limit of real soles",
-    interval=(0.0, 1.0),
-    source="wet ice 0.05, racing tyres below 3",
-    consequence="The foot slips or grips as on no real floor.",
-    is_usual=True,
-)
-def friction(robot: Robot) -> Finding:
-    """Return the foot whose friction most exceeds the limits."""
-    standing_of(robot)
-    return worst_case(
-        case for number in robot.foot_rows for case in _frictions(robot, number)
-    )
-
-
-def _frictions(robot: Robot, number: int) -> Iterator[Case]:
-    model = robot.model
-    condim, met = robot.pairs.constants[number, :2].tolist()
-    met *= condim > 1
-    # The pair is in the order of ids; the foot is on a body of the robot.
-    ground, foot = sorted(
-        robot.pairs.geoms[number].tolist(),
-        key=lambda geom: int(model.geom_bodyid[geom]) in robot.bodies,
-    )
-    name = geom_name(model, foot)
-    ratio = max(LOW_FRICTION / max(met, 1e-9), met / HIGH_FRICTION)
-    text = f"{name} has friction {met:g} on {geom_name(model, ground)}"
-    if condim == 1:
-        text += ", by condim 1"
-    yield Case(ratio, ("geom", foot), name, text, is_usual=True)
 
 
 MIN_GAP_MM = 10.0
@@ -214,16 +152,15 @@ def hold_pose(robot: Robot) -> tuple[float, FloatArray]:
     return float(heights_m[-1] / max(heights_m[0], 1e-6)), run.forces
 
 
-@model_check(
+@rule(
     "robot-torque",
     title="force that holds a joint, over that of its motor",
-    interval=(0.0, 1.0),
     source="inverse dynamics at rest in the pose of the keyframe; of a robot on feet, the mean torque as it falls",
     consequence="The motors do not hold the robot's own weight.",
     is_simulated=True,
 )
-def holding_force(robot: Robot) -> Finding:
-    """Return the joint whose motor is weakest where the robot rests."""
+def holding_force(robot: Robot) -> Iterator[Fault]:
+    """Yield joints whose motor is too weak where the robot rests."""
     model = robot.model
     limited = [drive for drive in drives(robot) if np.isfinite(drive.limit)]
     if not limited:
@@ -241,13 +178,10 @@ def holding_force(robot: Robot) -> Finding:
         needed = np.minimum(loads(model, data), np.abs(carried))
         limited = [drive for drive in limited if model.nkey or drive.kp]
         verb = "at rest"
-    return worst_case(
-        drive.case(
-            needed[drive.dof] / drive.limit,
-            f"{verb} {drive.name} takes {needed[drive.dof]:.3g} {drive.units[0]}; its motor makes {drive.limit:.3g}",
-        )
-        for drive in limited
-    )
+    for drive in limited:
+        force, unit = needed[drive.dof], drive.units[0]
+        text = f"{verb} {drive.name} takes {force:.4g} {unit}; its motor makes {drive.limit:.4g} {unit}"
+        yield from drive.faults(force / drive.limit, text)
 
 
 @model_check(
@@ -267,7 +201,7 @@ def stands(robot: Robot) -> Finding:
     gap_mm = 1e3 * (standing.ground_m - floor_m(robot))
     text = ""
     if not FELL <= ratio <= ROSE:
-        text = f"the robot is at {ratio:.2g} of its height"
+        text = f"the robot {'falls' if ratio < 1.0 else 'rises'} to {ratio:.0%} of its height"
         if abs(gap_mm) > MIN_GAP_MM:
             text += f": its feet start {abs(gap_mm):.3g} mm {'above' if gap_mm > 0.0 else 'in'} the ground"
     return Finding(value=ratio, remark=text, place=("body", standing.body))

@@ -1,8 +1,8 @@
 """Define a check of measured objects: its scenario, its number, and the real value, from the facts of trials."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import closing
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from typing import Any
 
@@ -36,9 +36,6 @@ class Scenario:
         seconds: Simulated time [s].
         given: Scene in place of the variant's scene; None for the latter.
         interval_s: Longest time between samples, unless a step is longer [s].
-        recorded: Further arguments of `record`, such as when a simulation ends early. By default, no nodes are kept.
-        engine_settings: Settings that belong to the scene, by name of the backend; those of a configuration come first.
-        wrenches: Constant force and torque on each body that is pushed [N, N m], shape [6].
         released: Bodies that rest on a fixed one at the start. They start apart by the margin of a configuration, at
             which they settle; from a touching pose they would be thrown up.
     """
@@ -48,9 +45,6 @@ class Scenario:
     seconds: float
     given: Scene | None = None
     interval_s: float = 0.002
-    recorded: Mapping[str, Any] = field(default_factory=dict)
-    engine_settings: Mapping[str, Settings] = field(default_factory=dict)
-    wrenches: Mapping[str, FloatArray] = field(default_factory=dict)
     released: tuple[str, ...] = ()
 
     @property
@@ -113,15 +107,13 @@ def run_scenario(backend: Backend, scenario: Scenario, settings: Settings) -> Re
             )
             raise UnsupportedError((reason,))
         simulation.reset(None, 0)
-        for name, wrench in scenario.wrenches.items():
-            simulation.apply_wrench(name, wrench[None])
         return record(
             simulation,
             scenario.scene_with(settings),
             seconds,
             interval_s=float(interval_s),
             speed_limit_m_per_s=scenario.scene.speed_limit_m_per_s,
-            **{"nodes_of": (), **scenario.recorded},
+            nodes_of=(),
         )
 
 
@@ -138,7 +130,6 @@ def _built(backend: Backend, scenario: Scenario, settings: Settings) -> Simulati
     if not support:
         raise UnsupportedError(support.missing)
     given = with_drive_interval(settings, scenario.interval_s)
-    given = {**scenario.engine_settings.get(backend.name, {}), **given}
     try:
         return backend.build(scenario.scene_with(settings), given)
     # Engines reject combinations of settings by exceptions of any kind; another scene may accept them.
@@ -162,8 +153,7 @@ class ObjectCheck:
         unit: Unit of the number; `1` for a pure number.
         reality: Value and scatter for real objects.
         value: Function that measures the number in a rollout of the scenario.
-        failure: Function that returns a failure that no real trial shows, independent of the number; empty for none.
-        needs: What a target must have in addition to gravity, and to contacts if the scene has some.
+        needs: What a target must have in addition to gravity, contacts and friction.
         id: Stable name, which the list of checks gives.
     """
 
@@ -172,20 +162,8 @@ class ObjectCheck:
     unit: str
     reality: Reality
     value: Callable[[Recording], float]
-    failure: Callable[[Recording], str] = lambda rollout: ""
     needs: tuple[Need, ...] = ()
     id: str = ""
-
-    @property
-    def touches(self) -> bool:
-        """Whether bodies of its scene touch."""
-        return bool(self.scenario.scene.contacts)
-
-    @property
-    def all_needs(self) -> tuple[Need, ...]:
-        """What a target must have for the check to apply."""
-        contact = (Need.CONTACT,) if self.touches else ()
-        return (Need.GRAVITY, *contact, *self.needs)
 
 
 @cache

@@ -1,7 +1,6 @@
-"""Friction of a cube: creep and resting height on a slope, slides, and slip on a slow turntable.
+"""Friction of a cube: creep and resting height on a slope, and slides.
 
-A sliding cube has the friction that the same trials show, so that the check compares the engine alone. A cube on
-a turntable rotates with the plate if friction suffices.
+A sliding cube has the friction that the same trials show, so that the check compares the engine alone.
 """
 
 from collections.abc import Callable
@@ -42,7 +41,7 @@ PRINTED_MM = 0.01
 """Last printed digit of the published scores of SlopeSlider-1 [mm]."""
 
 CALM_INTERVAL_S = 0.01
-"""Time between samples of a body that rests, or turns with a slow plate [s]: a third of a published frame."""
+"""Time between samples of a body that rests [s]: a third of a published frame."""
 
 CUBE = ("cube", "board")
 """The sliding body and its support."""
@@ -58,30 +57,29 @@ def _hold_scenario(material: str) -> Scenario:
     )
 
 
-def downhill(
+def _downhill(
     title: str,
     scenario: Scenario,
     unit: str,
     reality: Reality,
     motion: Callable[[FloatArray, FloatArray], float],
 ) -> ObjectCheck:
-    """Return the check of a body that moves down a slope, measured in the second half of its scenario.
+    """Return the check of a cube that moves down its board, measured in the second half of its scenario.
 
     Args:
         title: Title.
-        scenario: Scenario, whose first contact names the body and its support.
+        scenario: Scenario.
         unit: Unit of the value.
         reality: The motion in reality.
         motion: Function of times [s] and of displacements downhill [mm], both of shape [sample_count].
     """
 
     def value(rollout: Recording) -> float:
-        touch, *_ = rollout.scene.contacts
         part = rollout.between(0.5 * scenario.seconds, scenario.seconds)
-        moved_mm = 1e3 * moved_m(rollout, *touch.first, *touch.second)
+        moved_mm = 1e3 * moved_m(rollout, *CUBE)
         return motion(rollout.times_s[part], moved_mm[part, 0])
 
-    return ObjectCheck(title, scenario, unit, reality, value, needs=(Need.FRICTION,))
+    return ObjectCheck(title, scenario, unit, reality, value)
 
 
 # --- holding ---------------------------------------------------------------------------------------------------------
@@ -98,30 +96,18 @@ def creep_bound_mm_per_s(variant: str) -> float:
     return float(np.sqrt(24.0 * PRINTED_MM * rmse.mean)) * 30.0 / (rmse.frames - 1)
 
 
-def creeping(
-    title: str, scenario: Scenario, source: str, rationale: str
-) -> ObjectCheck:
-    """Return the creep of a body at rest on a slope.
-
-    Args:
-        title: Title.
-        scenario: Scenario of the body.
-        source: The law.
-        rationale: Reason for the bound that the published scores of a real cube give.
-    """
-    law = Reality(0.0, creep_bound_mm_per_s(scenario.variant), source, rationale)
-    return downhill(title, scenario, "mm/s", law, steady_speed_m_per_s)
-
-
 def creep(material: str) -> ObjectCheck:
-    """Return the creep of a cube at rest."""
-    return creeping(
-        f"creep of a cube of {material} on 10 degrees",
-        _hold_scenario(material),
+    """Return the creep of a cube at rest on a slope."""
+    scenario = _hold_scenario(material)
+    law = Reality(
+        0.0,
+        creep_bound_mm_per_s(scenario.variant),
         "Coulomb, tan 10 deg < mu",
         f"E_RMSE and E_DTW of real {material} cubes on this slope are equal as printed (paper, Table 5), "
         "which allows no faster creep",
     )
+    title = f"creep of a cube of {material} on 10 degrees"
+    return _downhill(title, scenario, "mm/s", law, steady_speed_m_per_s)
 
 
 def rest_height(material: str) -> ObjectCheck:
@@ -132,7 +118,6 @@ def rest_height(material: str) -> ObjectCheck:
         "mm",
         rigid_law("rigid bodies touch", 0.5, "the edge of 50 mm of the cube"),
         lambda rollout: _gaps_mm(rollout)[rollout.between(SETTLED_S, HOLD_S)].mean(),
-        needs=(Need.FRICTION,),
     )
 
 
@@ -160,7 +145,7 @@ def slide(material: str) -> ObjectCheck:
     friction = real_friction(material)
     variant = f"SlopeSlider-2-{material}"
     scene = load_experiment(variant, {"cube.friction": friction}).scene
-    return downhill(
+    return _downhill(
         f"acceleration of a cube of {material} on 30 degrees",
         Scenario(f"slide-{material}", variant, SLIDE_S, scene, released=("cube",)),
         "m/s^2",
@@ -194,7 +179,7 @@ def turned_slide(material: str) -> ObjectCheck:
         scenario=replace(
             straight.scenario, name=f"slide-turned-{material}", given=scene
         ),
-        needs=(Need.FRICTION, Need.SPACE),
+        needs=(Need.SPACE,),
         reality=Reality(
             scene.gravity_m_per_s2 * float(push),
             straight.reality.tolerance,
@@ -202,6 +187,3 @@ def turned_slide(material: str) -> ObjectCheck:
             f"covers {COVERAGE:.0%} of further real slides on the board that is not turned",
         ),
     )
-
-
-# --- on a turntable --------------------------------------------------------------------------------------------------

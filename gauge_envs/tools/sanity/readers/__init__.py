@@ -1,16 +1,13 @@
-"""Training stacks: the targets of a check, their readers, and the dialects in which changes are written."""
+"""Training stacks: the targets of a check and their readers."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 from gauge_envs.errors import TargetError
-from gauge_envs.files import is_folder
-from gauge_envs.reading import faults_of
+from gauge_envs.reading import faults_of, reading
 from gauge_envs.text import toml_document
 from gauge_envs.tools.sanity.readers import probe, settings
-from gauge_envs.tools.sanity.readers.dialect import TOML, Dialect
-from gauge_envs.tools.sanity.readers.documents import file_value
 from gauge_envs.tools.sanity.readers.gymnasium_env import (
     SUITE,
     Target,
@@ -19,37 +16,26 @@ from gauge_envs.tools.sanity.readers.gymnasium_env import (
     read_task,
     suite_file,
 )
-from gauge_envs.tools.sanity.readers.mjcf import MJCF, GeomPair, read_model_file
+from gauge_envs.tools.sanity.readers.mjcf import GeomPair, read_model_file
 from gauge_envs.tools.sanity.robot.robot import mujoco_warnings
 from gauge_envs.tools.sanity.training import TrainingConfiguration
-
-__all__ = ["Dialect", "configuration", "dialect"]
 
 
 def _read_toml(path: Path, pair: GeomPair | None) -> TrainingConfiguration:
     """Return the configuration of a settings file or a task file."""
-    values = file_value(path, toml_document)
+    with reading(path, TargetError) as content:
+        values = toml_document(content)
     if "family" in values:
         return read_task(path)
     return settings.read_settings(path, values)
 
 
-def _read_usd(path: Path, pair: GeomPair | None) -> TrainingConfiguration:
-    """Raise an error that names the command for a USD layer."""
-    raise TargetError(
-        f"{path}: a USD layer has no settings of a solver: gauge run ID --asset {path.name} simulates it"
-    )
-
-
 READERS = {
     **dict.fromkeys((".xml", ".mjcf", ".urdf"), read_model_file),
-    **dict.fromkeys((".usd", ".usda", ".usdc"), _read_usd),
     ".toml": _read_toml,
     ".json": probe.read_file,
 }
 """Function that reads a file, by its suffix."""
-
-DIALECTS = (TOML, MJCF)
 
 
 @mujoco_warnings()
@@ -84,7 +70,7 @@ def configuration(
         return target
     is_text = isinstance(target, str | Path)
     read = _read_text(target, pair) if is_text else read_object(target, pair)
-    if pair is not None and not read.is_model:
+    if pair is not None and read.robot is None:
         raise TargetError(
             f"{target}: a pair of geoms needs a MuJoCo model, which the target has not"
         )
@@ -101,11 +87,4 @@ def _read_text(target: Target, pair: GeomPair | None) -> TrainingConfiguration:
             return reader(path, pair)
     if backend := settings.read_backend(str(target)):
         return backend
-    if is_folder(path):
-        raise TargetError(f"{path}: is a folder: give the file of a model")
     return read_id(str(target), pair)
-
-
-def dialect(name: str) -> Dialect:
-    """Return a dialect by the language of a `TrainingConfiguration`."""
-    return next(dialect for dialect in DIALECTS if dialect.name == name)

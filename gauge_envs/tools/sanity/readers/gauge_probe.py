@@ -2,9 +2,8 @@
 
 Run this file in the training environment. It needs Python 3.8 or later, and nothing of gauge-envs.
 
+    python gauge_probe.py my_package.robots:make_model --out robot.gaugeprobe.json
     python gauge_probe.py HalfCheetah-v5
-    python gauge_probe.py robot/scene.xml --out robot.gaugeprobe.json
-    python gauge_probe.py my_package.robots:make_model
     python gauge_probe.py "mujoco_playground:registry.load('CheetahRun')"
     python gauge_probe.py "mjlab.tasks.registry:load_env_cfg('Mjlab-Velocity-Flat-Unitree-Go1')"
     python gauge_probe.py "dm_control.suite:load('walker', 'walk')"
@@ -472,18 +471,14 @@ def save(target: Any, file: str) -> None:
 
 
 def resolve(target: str) -> Any:
-    """Return the object that a text names: a model file, a Gymnasium id, or `MODULE:EXPRESSION`."""
-    if Path(target).suffix.lower() in (".xml", ".mjcf", ".urdf"):
-        import mujoco
-
-        return mujoco.MjModel.from_xml_path(target)
+    """Return the object that a text names: a Gymnasium id, or `MODULE:EXPRESSION`."""
     module, colon, expression = target.partition(":")
-    if colon and not re.search(r"-v\d+$", target):
-        value = eval(expression, dict(vars(importlib.import_module(module))))
-        return value() if callable(value) else value
-    import gymnasium
+    if not colon:
+        import gymnasium
 
-    return gymnasium.make(target)
+        return gymnasium.make(target)
+    value = eval(expression, dict(vars(importlib.import_module(module))))
+    return value() if callable(value) else value
 
 
 def main() -> None:
@@ -491,7 +486,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("target", help="file, Gymnasium id, or MODULE:EXPRESSION")
+    parser.add_argument("target", help="Gymnasium id or MODULE:EXPRESSION")
     parser.add_argument("--out", help=f"file to write, NAME{SUFFIX} by default")
     options = parser.parse_args()
     sys.path.insert(0, str(Path.cwd()))

@@ -14,28 +14,17 @@ import numpy as np
 from gauge_envs.backends import Simulation
 from gauge_envs.envs.env import GaugeEnv
 from gauge_envs.errors import MissingExtraError, NoRewardWarning, TargetError
-from gauge_envs.scene import ContactMode
 from gauge_envs.tools.sanity.readers.mjcf import GeomPair, model_name, read_model
 from gauge_envs.tools.sanity.readers.mujoco_model import mujoco_configuration
 from gauge_envs.tools.sanity.robot.robot import mujoco_warnings
-from gauge_envs.tools.sanity.training import Need, Settings, TrainingConfiguration
+from gauge_envs.tools.sanity.training import Need, TrainingConfiguration
 
 Target: TypeAlias = (
-    str
-    | Path
-    | mujoco.MjModel
-    | tuple[mujoco.MjModel, mujoco.MjData]
-    | gymnasium.Env
-    | Settings
+    str | Path | mujoco.MjModel | tuple[mujoco.MjModel, mujoco.MjData] | gymnasium.Env
 )
 """A target of a sanity check; see `gauge_envs.tools.sanity.configuration`."""
 
-ACCEPTED = (
-    "a Gymnasium id with a MuJoCo model (HalfCheetah-v5), a model file (.xml, .mjcf, .urdf), a mujoco.MjModel or a "
-    "pair (model, data), an env, a probe file (NAME.gaugeprobe.json, see gauge sanity probe), "
-    "a settings file (.toml, .json), or a backend with or "
-    "without a preset (mujoco:out_of_box)"
-)
+ACCEPTED = "a Gymnasium id with a MuJoCo model, a model file (.xml, .urdf), or another target of docs/sanity.md"
 """Targets that can be checked, as a text."""
 
 UNDECLARED = ("imageio", "packaging")
@@ -141,22 +130,17 @@ def _suite_configuration(
     settings.pop("drive_interval_s", None)
     scene = env.experiment.scene
     rigid = {body.name for body in scene.bodies}
-    modes = {
-        contact.mode
+    touches = any(
+        rigid.intersection(contact.first) and rigid.intersection(contact.second)
         for contact in scene.contacts
-        if rigid.intersection(contact.first) and rigid.intersection(contact.second)
-    }
-    inapplicable = {}
-    if not modes:
-        inapplicable[Need.CONTACT] = "no rigid bodies touch in its scene"
-    if modes <= {ContactMode.SUSTAINED}:
-        inapplicable[Need.REBOUND] = "nothing rebounds in its scene"
+    )
+    reason = {Need.CONTACT: "no rigid bodies touch in its scene"}
     return TrainingConfiguration(
         name=name,
         source="environment of this suite",
         backend=env.arguments.backend,
         settings=settings,
-        inapplicable=inapplicable,
+        inapplicable={} if touches else reason,
     )
 
 

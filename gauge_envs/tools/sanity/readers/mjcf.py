@@ -1,7 +1,4 @@
-"""MuJoCo models: a model file, or a compiled model in this process.
-
-Changes are elements of MJCF: `<option cone="elliptic"/>`, `<default><geom solref="0.02 1"/></default>`.
-"""
+"""MuJoCo models: a model file, or a compiled model in this process."""
 
 from __future__ import annotations
 
@@ -10,24 +7,12 @@ import warnings
 import xml.etree.ElementTree as ET
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import mujoco
 
-from gauge_envs.backends.mujoco.options import (
-    DISABLE_FLAGS,
-    ENABLE_FLAGS,
-    NAMED_OPTIONS,
-    SAME_NAME_OPTIONS,
-)
 from gauge_envs.errors import TargetError
-from gauge_envs.tools.sanity.readers.dialect import (
-    Dialect,
-    Entries,
-    Setting,
-    number_text,
-)
-from gauge_envs.tools.sanity.readers.documents import file_text
+from gauge_envs.reading import reading
+from gauge_envs.text import filled_text
 from gauge_envs.tools.sanity.readers.gauge_probe import mjcf_root
 from gauge_envs.tools.sanity.readers.mjcf_errors import sentence
 from gauge_envs.tools.sanity.readers.mujoco_model import mujoco_configuration
@@ -37,73 +22,14 @@ GeomPair = tuple[str, str]
 """Names of two geoms of a model."""
 
 
-ATTRIBUTES = (
-    Setting("timestep_s", "option", "timestep"),
-    Setting("contact_solref", "geom", "solref"),
-    Setting("contact_solimp", "geom", "solimp"),
-    Setting("contact_margin_m", "geom", "margin"),
-    Setting("contact_gap_m", "geom", "gap"),
-    Setting("condim", "geom", "condim"),
-    Setting("equality_solref", "equality", "solref"),
-    Setting("equality_solimp", "equality", "solimp"),
-)
-"""Element and attribute of settings that have another name in MJCF."""
-
-OPTIONS = (*NAMED_OPTIONS, *SAME_NAME_OPTIONS, "jacobian")
-"""Settings that are called as in MJCF."""
-
-
-def _switch(is_on: bool) -> str:
-    return "enable" if is_on else "disable"
-
-
-MODEL_SETTINGS = (
-    *ATTRIBUTES,
-    *(Setting(name, "option", name) for name in OPTIONS),
-    *(
-        Setting(name, "flag", name, text=_switch)
-        for name in (*DISABLE_FLAGS, *ENABLE_FLAGS)
-    ),
-    # Disabling the override restores the contacts of all geoms.
-    Setting("o_friction", "flag", "override", text=lambda value: "disable"),
-)
-"""Attributes of `<option>`, of its `<flag>`, and of the defaults."""
-
-
-def _attribute(value: Any) -> str:
-    values = value if isinstance(value, list | tuple) else [value]
-    return " ".join(map(number_text, values))
-
-
-def _elements(entries: Entries) -> str:
-    """Return `<option>` with its flags, the defaults, and settings that are no attributes."""
-    option, flags = (" ".join(entries.get(place, ())) for place in ("option", "flag"))
-    end = f"><flag {flags}/></option>" if flags else "/>"
-    parts = [f"<option {option}".rstrip() + end] if option or flags else []
-    parts += [
-        f"<default><{kind} {' '.join(entries[kind])}/></default>"
-        for kind in ("geom", "equality")
-        if kind in entries
-    ]
-    return " and ".join([*parts, *entries.get("", ())])
-
-
-MJCF = Dialect(
-    name="mjcf",
-    settings=MODEL_SETTINGS,
-    pattern='{key}="{value}"',
-    text=_attribute,
-    join=_elements,
-)
-
-
 def read_model_file(path: Path, pair: GeomPair | None = None) -> TrainingConfiguration:
     """Return the configuration of a model file that MuJoCo reads.
 
     Raises:
         TargetError: MuJoCo cannot load it; the message has the file, the line and what to do.
     """
-    text = file_text(path)
+    with reading(path, TargetError) as content:
+        text = filled_text(content)
     try:
         with warnings.catch_warnings(record=True, action="always") as caught:
             if path.suffix == ".mjcf":

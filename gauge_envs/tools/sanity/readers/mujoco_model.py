@@ -12,31 +12,27 @@ import mujoco
 import numpy as np
 
 from gauge_envs.backends.mujoco.contact_table import (
-    COLUMNS,
     ContactPairs,
     can_move,
     contact_pairs,
     contact_settings,
     default_contact_settings,
-    effective_constants,
 )
 from gauge_envs.backends.mujoco.options import option_settings
 from gauge_envs.backends.mujoco.versions import sparse_advice
 from gauge_envs.errors import TargetError
+from gauge_envs.names import first_names
 from gauge_envs.scene import Vector
-from gauge_envs.scene.geometry import FloatArray, IntArray, vector
-from gauge_envs.tools.sanity.readers.mujoco_foot import read_foot
-from gauge_envs.tools.sanity.readers.settings import check_settings
+from gauge_envs.scene.geometry import BoolArray, IntArray, vector
 from gauge_envs.tools.sanity.robot.robot import (
     Robot,
     free_balls,
     geom_name,
-    grasping_pairs,
-    listed,
-    never_touches,
+    joints_of,
+    random_poses,
     switched_off,
 )
-from gauge_envs.tools.sanity.robot.standing import NoFootError, find_standing
+from gauge_envs.tools.sanity.robot.standing import find_standing
 from gauge_envs.tools.sanity.training import ContactGroup, Need, TrainingConfiguration
 
 
@@ -63,22 +59,18 @@ def mujoco_configuration(
     groups: tuple[ContactGroup, ...] = ()
     contact = default_contact_settings()
     if len(pairs.geoms) or pair is not None:
-        used = _used_constants(model, pairs, pair)
-        groups = _groups(model, pairs, used, all_on_ground=pair is None)
-        contact = contact_settings(model, used)
+        groups = _groups(model, pairs, _used(model, pairs, pair))
+        contact = dict(next(group.settings for group in groups if group.is_used))
     settings = options | contact
-    check_settings("mujoco", settings)
     inapplicable = _inapplicable(model, groups)
     robot = Robot(model=model, pairs=pairs, up=up, spec=spec, pair=pair, file=file)
-    try:
-        on_feet = replace(robot, standing=find_standing(robot))
-        foot, robot = read_foot(on_feet, groups), on_feet
-        # A robot that walks against a loose body has no hand.
-        groups = tuple(replace(group, is_held=False) for group in groups)
-    except NoFootError as error:
-        foot = None
-        inapplicable[Need.FOOT] = str(error)
-    if Need.CONTACT not in inapplicable and never_touches(robot):
+    robot = replace(robot, standing=find_standing(robot))
+    is_fixed = robot.standing is None and not joints_of(model, "FREE", "BALL").any()
+    if (
+        Need.CONTACT not in inapplicable
+        and is_fixed
+        and not any(data.ncon for data in random_poses(model, poses=200))
+    ):
         inapplicable[Need.CONTACT] = (
             "the robot is fixed to the world and touches nothing in 200 random poses"
         )
@@ -95,9 +87,6 @@ def mujoco_configuration(
         notes=tuple(filter(None, [sparse_advice(model)])),
         inapplicable=inapplicable,
         up=up,
-        is_model=True,
-        foot_geometry=foot,
-        language="mjcf",
         robot=robot,
     )
 
@@ -131,72 +120,52 @@ def _up(model: mujoco.MjModel) -> Vector:
 # --- which constants count -------------------------------------------------------------------------------------------
 
 
-def _used_constants(
+def _used(
     model: mujoco.MjModel, pairs: ContactPairs, pair: tuple[str, str] | None
-) -> FloatArray:
-    """Return the constants of a pair, or the most frequent ones of the first kind of pairs, shape [17]."""
-    if pair is not None:
-        names = [geom_name(model, geom) for geom in range(model.ngeom)]
-        missing = [name for name in pair if name not in names]
-        if missing:
-            raise TargetError(
-                f"the model has no geom {missing[0]!r}; it has {', '.join(names)}"
-            )
-        wanted = sorted(map(names.index, pair))
-        rows = np.flatnonzero((pairs.geoms == wanted).all(axis=1))
-        if not len(rows):
-            raise TargetError(
-                f"geoms {pair[0]!r} and {pair[1]!r} cannot collide in this model: choose two that can"
-            )
-        return pairs.constants[rows[0]]
-    rows = np.flatnonzero(pairs.kinds == pairs.kinds.min())
-    effective = effective_constants(model, pairs.constants[rows])
-    _, first, counts = np.unique(
-        effective, axis=0, return_index=True, return_counts=True
-    )
-    return pairs.constants[rows[first[counts.argmax()]]]
+) -> BoolArray:
+    """Return which pairs count: a chosen one, or those of the first kind, shape [pair_count].
+
+    Those of free balls count only where there are no others: balls roll where the objects of the experiments rest.
+    """
+    if pair is None:
+        first: BoolArray = pairs.kinds == pairs.kinds.min()
+        rests = first & ~free_balls(model)[pairs.geoms].any(axis=1)
+        return rests if rests.any() else first
+    names = [geom_name(model, geom) for geom in range(model.ngeom)]
+    missing = [name for name in pair if name not in names]
+    if missing:
+        raise TargetError(
+            f"the model has no geom {missing[0]!r}; it has {', '.join(names)}"
+        )
+    chosen: BoolArray = (pairs.geoms == sorted(map(names.index, pair))).all(axis=1)
+    if not chosen.any():
+        raise TargetError(
+            f"geoms {pair[0]!r} and {pair[1]!r} cannot collide in this model: choose two that can"
+        )
+    return chosen
 
 
 def _groups(
-    model: mujoco.MjModel,
-    pairs: ContactPairs,
-    used: FloatArray,
-    *,
-    all_on_ground: bool,
+    model: mujoco.MjModel, pairs: ContactPairs, used: BoolArray
 ) -> tuple[ContactGroup, ...]:
-    """Return the pairs grouped by kind and constants, sorted by kind and number of pairs.
-
-    Groups with the constants `used` are in use, and with `all_on_ground` all groups of the first kind. Groups of free
-    balls alone are not: balls roll and bounce where the objects of the experiments rest and slide.
-    """
-    grasped = all_on_ground * grasping_pairs(model, pairs)
-    keys = np.column_stack([pairs.kinds, grasped, pairs.constants])
+    """Return the pairs grouped by kind and constants, sorted by kind and number of pairs."""
+    keys = np.column_stack([pairs.kinds, pairs.constants])
     _, inverse = np.unique(keys, axis=0, return_inverse=True)
     groups = []
     for number in range(inverse.max() + 1):
         rows = np.flatnonzero(inverse == number)
-        constants = pairs.constants[rows[0]]
-        kind, grasp = pairs.kinds[rows[0]], grasped[rows[0]]
-        rolls = free_balls(model)[pairs.geoms[rows]].any(axis=1).all()
-        same = effective_constants(model, constants) == effective_constants(model, used)
-        named = {
-            name: constants[columns].squeeze().tolist()
-            for name, columns in COLUMNS.items()
-        }
         group = ContactGroup(
             geoms=_geoms_text(model, pairs.geoms[rows]),
             pair_count=len(rows),
-            constants=named | {"condim": int(constants[0])},
-            is_used=bool(
-                same.all()
-                or (all_on_ground and kind == pairs.kinds.min() and not rolls)
-            ),
-            is_held=bool(grasp),
-            settings=contact_settings(model, constants),
+            is_used=bool(used[rows].any()),
+            settings=contact_settings(model, pairs.constants[rows[0]]),
         )
-        groups.append(((kind, -len(rows), number), group))
+        groups.append(((pairs.kinds[rows[0]], -len(rows), number), group))
     return tuple(group for _, group in sorted(groups))
 
+
+MAX_GEOMS = 4
+"""Largest number of geoms that a text lists; further ones are counted."""
 
 # --- names -----------------------------------------------------------------------------------------------------------
 
@@ -205,7 +174,7 @@ def _geoms_text(model: mujoco.MjModel, geoms: IntArray) -> str:
     """Return names of pairs of geoms: those that are fixed with those that move, or these with each other."""
     moves = can_move(model)[geoms]
     sides = [
-        listed([geom_name(model, geom) for geom in np.unique(side).tolist()])
+        first_names([geom_name(model, geom) for geom in np.unique(side)], MAX_GEOMS)
         for side in (geoms[~moves], geoms[moves])
         if len(side)
     ]

@@ -13,13 +13,13 @@ from pathlib import Path
 import mujoco
 
 from gauge_envs.errors import TargetError
+from gauge_envs.reading import reading
 from gauge_envs.text import json_document
-from gauge_envs.tools.sanity.readers.documents import file_value
 from gauge_envs.tools.sanity.readers.gauge_probe import FORMAT, VERSION
 from gauge_envs.tools.sanity.readers.mjcf import GeomPair
 from gauge_envs.tools.sanity.readers.mujoco_model import mujoco_configuration
 from gauge_envs.tools.sanity.readers.settings import read_settings
-from gauge_envs.tools.sanity.training import Settings, TrainingConfiguration
+from gauge_envs.tools.sanity.training import TrainingConfiguration
 
 
 def read_file(path: Path, pair: GeomPair | None = None) -> TrainingConfiguration:
@@ -28,7 +28,8 @@ def read_file(path: Path, pair: GeomPair | None = None) -> TrainingConfiguration
     Raises:
         TargetError: The file is none of the kinds, or of another version of the probe.
     """
-    file = file_value(path, json_document)
+    with reading(path, TargetError) as content:
+        file = json_document(content)
     if not isinstance(file, dict) or "format" not in file:
         return read_settings(path, file)
     if (file["format"], file.get("version")) != (FORMAT, VERSION):
@@ -38,12 +39,6 @@ def read_file(path: Path, pair: GeomPair | None = None) -> TrainingConfiguration
         )
     name = path.name.removesuffix(".json").removesuffix(".gaugeprobe")
     source = f"probe file {path.name}: {file['source']}"
-    return _read_model(path, file, name, source, pair)
-
-
-def _read_model(
-    path: Path, file: Settings, name: str, source: str, pair: GeomPair | None
-) -> TrainingConfiguration:
     trained, here = file["mujoco"], mujoco.__version__
     text, notes = _known(file["data"])
     try:

@@ -16,24 +16,6 @@ TRIAL_VARIANT = "BouncingBall-rubber"
 KEYS = ("backend", "preset", "settings")
 
 
-def check_settings(engine: str, settings: Settings) -> None:
-    """Build a scene with settings of a backend.
-
-    Raises:
-        GaugeError: The backend rejects them.
-        TargetError: The engine raises an error of another kind.
-    """
-    # An action of an environment takes a whole number of steps, so the step serves as the interval of the suite.
-    scene = load_experiment(TRIAL_VARIANT).scene
-    try:
-        backend(engine).build(scene, with_drive_interval(settings, 0.0)).close()
-    except GaugeError:
-        raise
-    except Exception as error:
-        kind = type(error).__name__
-        raise TargetError(f"backend {engine!r}: {kind}: {error}") from error
-
-
 def _checked(
     name: str, engine: str, settings: Settings, source: str
 ) -> TrainingConfiguration:
@@ -48,10 +30,17 @@ def _checked(
     Raises:
         TargetError: A setting does not exist or has an impossible value.
     """
+    # An action of an environment takes a whole number of steps, so the step serves as the interval of the suite.
+    given = with_drive_interval(settings, 0.0)
     try:
-        check_settings(engine, settings)
+        backend(engine).build(load_experiment(TRIAL_VARIANT).scene, given).close()
     except ParameterError as error:
         raise TargetError(f"{name}: {error}") from error
+    except GaugeError:
+        raise
+    except Exception as error:
+        kind = type(error).__name__
+        raise TargetError(f"backend {engine!r}: {kind}: {error}") from error
     return TrainingConfiguration(
         name=name, source=source, backend=engine, settings=settings
     )

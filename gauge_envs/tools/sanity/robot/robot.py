@@ -29,11 +29,8 @@ STANDING = ("home", "stand", "standing")
 BODY_JOINS = (int(mujoco.mjtEq.mjEQ_CONNECT), int(mujoco.mjtEq.mjEQ_WELD))
 """Types of equalities that join bodies."""
 
-MAX_GEOMS = 4
-"""Largest number of geoms of a foot or of a group that a text lists; further ones are counted."""
-
 ALONG_AN_AXIS = 0.999
-"""Smallest component of the normal of the plane of a robot that moves along an axis of the world."""
+"""Smallest component of the hinges of a robot that moves in a plane along an axis of the world."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,14 +39,12 @@ class Stance:
 
     Attributes:
         qpos: Generalized position, shape [nq].
-        ctrl: Controls that belong to the pose, shape [nu]; zeros without a keyframe.
         positions_m: Positions of the geoms in a frame with z up [m], shape [geom_count, 3].
         rotations: Rotations of the geoms to that frame.
         joint_axes: Axes of the joints in that frame, shape [joint_count, 3].
     """
 
     qpos: FloatArray
-    ctrl: FloatArray
     positions_m: FloatArray
     rotations: Rotation
     joint_axes: FloatArray
@@ -63,14 +58,14 @@ class Standing:
         body: First moving body of the robot.
         height_m: Height of the robot [m].
         ground_m: Height of its lowest point [m].
-        support_m: Lowest point of each geom that can touch the ground [m].
+        support_m: Height of the lowest point of each geom that can touch the ground [m].
         feet: Geoms of each foot, by its body.
     """
 
     body: int
     height_m: float
     ground_m: float
-    support_m: Mapping[int, FloatArray]
+    support_m: Mapping[int, float]
     feet: Mapping[int, list[int]]
 
 
@@ -150,7 +145,6 @@ class Robot:
         to_z_up = Rotation.align_vectors([[0.0, 0.0, 1.0]], [self.up])[0]
         return Stance(
             qpos=data.qpos.copy(),
-            ctrl=data.ctrl.copy(),
             positions_m=to_z_up.apply(data.geom_xpos),
             rotations=to_z_up * Rotation.from_matrix(data.geom_xmat.reshape(-1, 3, 3)),
             joint_axes=to_z_up.apply(data.xaxis),
@@ -200,17 +194,12 @@ class Robot:
 
     @cached_property
     def moves_along_axis(self) -> bool:
-        """Whether the robot moves in a vertical plane along an axis of the world."""
-        model, axes = self.model, self.stance.joint_axes
-        is_part = np.isin(model.jnt_bodyid, self.bodies)
-        is_hinge = joints_of(model, "HINGE")
-        hinges = axes[is_part & is_hinge]
-        if not len(hinges) or joints_of(model, "FREE", "BALL")[is_part].any():
+        """Whether all hinges of the robot turn about one horizontal axis of the world, and nothing is free."""
+        is_part = np.isin(self.model.jnt_bodyid, self.bodies)
+        hinges = self.stance.joint_axes[is_part & joints_of(self.model, "HINGE")]
+        if not len(hinges) or joints_of(self.model, "FREE", "BALL")[is_part].any():
             return False
-        normal = hinges[0]
-        parallel = np.abs(axes @ normal)
-        fits = np.where(is_hinge, parallel > 0.999, parallel < 1e-3)[is_part]
-        return bool(fits.all() and np.abs(normal[:2]).max() > ALONG_AN_AXIS)
+        return bool((np.abs(hinges[:, :2]) > ALONG_AN_AXIS).all(axis=0).any())
 
 
 def standing_key(model: mujoco.MjModel) -> int:
@@ -318,13 +307,6 @@ def chain_of(model: mujoco.MjModel, body: int) -> list[int]:
     return chain
 
 
-def listed(names: list[str]) -> str:
-    """Return names in a line; of many, the number of the rest."""
-    if len(names) > MAX_GEOMS:
-        names = [*names[: MAX_GEOMS - 1], f"{len(names) - MAX_GEOMS + 1} more"]
-    return " and ".join(filter(None, [", ".join(names[:-1]), names[-1]]))
-
-
 def grasping_pairs(model: mujoco.MjModel, pairs: ContactPairs) -> BoolArray:
     """Return for each pair whether a driven part can grasp a free body."""
     roots = model.body_rootid
@@ -333,13 +315,6 @@ def grasping_pairs(model: mujoco.MjModel, pairs: ContactPairs) -> BoolArray:
     bodies = model.geom_bodyid[pairs.geoms]
     grasps: BoolArray = driven[bodies].any(axis=1) & free[bodies].any(axis=1)
     return grasps
-
-
-def never_touches(robot: Robot) -> bool:
-    """Return whether no two geoms of a robot that is fixed to the world touch in random poses within joint limits."""
-    if robot.standing is not None or joints_of(robot.model, "FREE", "BALL").any():
-        return False
-    return not any(data.ncon for data in random_poses(robot.model, poses=200))
 
 
 def random_poses(model: mujoco.MjModel, poses: int) -> Iterator[mujoco.MjData]:

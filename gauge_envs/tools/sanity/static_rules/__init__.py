@@ -22,6 +22,8 @@ STATIC_RULES = (
     consistent.start_overlap,
     consistent.start_tendon,
     consistent.start_coupling,
+    plausible.foot_friction,
+    plausible.free_joint,
     plausible.imu_frame,
     plausible.medium,
     stated.solimp,

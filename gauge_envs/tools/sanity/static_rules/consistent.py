@@ -12,6 +12,7 @@ import numpy as np
 from gauge_envs.scene.geometry import FloatArray, IntArray
 from gauge_envs.tools.sanity.model_checks.check import Change
 from gauge_envs.tools.sanity.model_checks.drives import drives, servos, start
+from gauge_envs.tools.sanity.model_checks.rule import Fault, rule, unit_text
 from gauge_envs.tools.sanity.robot.robot import (
     Place,
     Robot,
@@ -23,7 +24,6 @@ from gauge_envs.tools.sanity.robot.robot import (
     spec_element,
     unheld,
 )
-from gauge_envs.tools.sanity.static_rules.rule import Fault, rule, unit_text
 from gauge_envs.tools.sanity.static_rules.sides import limb_of, mirrored, side_of
 
 # --- keyframes -------------------------------------------------------------------------------------------------------
@@ -166,8 +166,8 @@ def servo_gain(robot: Robot) -> Iterator[Fault]:
         is_weak = np.isfinite(error) and error > WEAK * max(span, 1.0)
         if drive.is_hinge and span and is_weak:
             force, angle = drive.units
-            most = f"{drive.kp * span:.2g} of its {drive.limit:.3g} {force}"
-            text = f"{drive.name} with kp {drive.kp:.3g} {force}/{angle} makes at most {most} within its range"
+            most = f"{drive.kp * span:.2g} of its {drive.limit:.4g} {force}"
+            text = f"{drive.name} with kp {drive.kp:.4g} {force}/{angle} makes at most {most} within its range"
             yield Fault(("joint", drive.joint), drive.name, text, error / span)
 
 
@@ -184,6 +184,7 @@ def names(robot: Robot) -> Iterator[Fault]:
     """Yield actuators with the name of another joint, and elements that belong to the other side."""
     model = robot.model
     joints = {model.joint(joint).name: joint for joint in range(model.njnt)}
+    known = {*model.names.decode().split("\0")}
     for kind, number, owner_kind, owner in _references(model):
         name, owner_name = (
             getattr(model, kind)(number).name,
@@ -194,7 +195,9 @@ def names(robot: Robot) -> Iterator[Fault]:
             yield Fault((kind, number), name, text, 2.0, True, ("joint", name))
             continue
         side, owner_side = side_of(name).side, side_of(owner_name).side
-        if side and owner_side and side != owner_side:
+        # The last letter is a roll where a pitch or yaw has the same name.
+        is_roll = not known.isdisjoint(name[:-1] + letter for letter in "PYpy")
+        if side and owner_side and side != owner_side and not is_roll:
             text = (
                 f"{kind} {name} belongs to {owner_kind} {owner_name}, on the other side"
             )
@@ -503,7 +506,7 @@ def start_coupling(robot: Robot) -> Iterator[Fault]:
         off, span = abs(coupled - begin[place]), np.ptp(model.jnt_range[joint]) or 1.0
         if off > MAX_OFF * span:
             name = name_of(model, "joint", joint)
-            text = f"{name} starts {off:.2g} off its coupling; its range is {span:.3g}"
+            text = f"{name} starts {off:.2g} off its coupling; its range is {span:.4g}"
             yield Fault(("equality", number), name, text, float(off / span))
 
 
@@ -524,7 +527,9 @@ def touch(robot: Robot) -> Iterator[Fault]:
     fixed = model.body_weldid[model.geom_bodyid] == 0
     if not (solid & fixed).any() or not model.opt.gravity.any():
         return
-    stopped = np.unique(model.body_treeid[model.geom_bodyid[pairs.geoms]])
+    ends = model.body_treeid[model.geom_bodyid[pairs.geoms]]
+    # Parts of a robot that touch each other do not stop it.
+    stopped = np.unique(ends[ends[:, 0] != ends[:, 1]])
     moved = robot.driven_trees
     for body in unheld(model):
         tree = model.body_treeid[body]
@@ -535,5 +540,5 @@ def touch(robot: Robot) -> Iterator[Fault]:
         if is_marker or tree in stopped or model.body_gravcomp[body]:
             continue
         name = name_of(model, "body", body)
-        text = f"{name} is free and none of its geoms can touch anything: it falls through the floor"
+        text = f"{name} is free and none of its geoms can touch another body: it falls through the floor"
         yield Fault(("body", body), name, text, is_error=True)

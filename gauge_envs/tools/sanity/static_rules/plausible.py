@@ -7,16 +7,19 @@ from collections.abc import Iterator
 import mujoco
 import numpy as np
 
+from gauge_envs.pages.text import digits_text
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.sanity.model_checks.drives import drives, start
+from gauge_envs.tools.sanity.model_checks.rule import Fault, rule
 from gauge_envs.tools.sanity.robot.robot import (
     Robot,
+    geom_name,
     joints_of,
     name_of,
+    root_of,
     switched_off,
 )
 from gauge_envs.tools.sanity.robot.standing import LIQUID_KG_PER_M3
-from gauge_envs.tools.sanity.static_rules.rule import Fault, rule
 from gauge_envs.tools.sanity.static_rules.shapes import (
     body_shapes,
     mesh_volume_m3,
@@ -67,7 +70,7 @@ def density(robot: Robot) -> Iterator[Fault]:
             is_object and not solid_geoms(model)[model.geom_bodyid == body].any()
         )
         if 0.0 < light < least and model.body_dofnum[body] and not is_marker:
-            text = f"{name} weighs {mass_kg:.3g} kg: {light:.2g} kg/m^3, lighter than any other link"
+            text = f"{name} weighs {mass_kg:.3g} kg: {light:.2g} kg/m^3; foam has 30"
             yield Fault(("body", body), name, text, least / light)
 
 
@@ -93,7 +96,7 @@ def inertia(robot: Robot) -> Iterator[Fault]:
         most = shape.farthest_m(model.body_ipos[body]) ** 2
         ratio = square / max(shape.square_m2, 1e-12)
         if square > MAX_GYRATION * most or ratio < MIN_GYRATION:
-            text = f"{name} of {mass_kg:.3g} kg has {ratio:.2g} times the inertia of its own shapes"
+            text = f"{name} of {mass_kg:.3g} kg has {digits_text(ratio)} times the inertia of its own shapes"
             yield Fault(
                 ("body", body),
                 name,
@@ -160,8 +163,8 @@ def mesh_mass(robot: Robot) -> Iterator[Fault]:
 
 # --- joints ----------------------------------------------------------------------------------------------------------
 
-MAX_TURNS, MIN_RANGE_RAD = 4.0, 0.12
-"""Largest range of a hinge in turns, and the smallest: 2 pi in degrees that are read twice is 0.11."""
+MAX_TURNS, MIN_RANGE_RAD, ENDLESS_RAD = 4.0, 0.12, 1e4
+"""Largest range of a hinge in turns, the smallest (2 pi in degrees that are read twice is 0.11), and no stop at all."""
 
 
 @rule(
@@ -178,8 +181,8 @@ def range_unit(robot: Robot) -> Iterator[Fault]:
     for joint in limited.tolist():
         low, high = model.jnt_range[joint]
         name, span = name_of(model, "joint", joint), high - low
-        if span > MAX_TURNS * 2.0 * np.pi:
-            text = f"{name} can turn {span / (2.0 * np.pi):.3g} times round: range {low:.4g} to {high:.4g} "
+        if MAX_TURNS * 2.0 * np.pi < span < ENDLESS_RAD:
+            text = f"{name} can turn {digits_text(span / (2.0 * np.pi))} times round: range {low:.4g} to {high:.4g} "
             right = "range", np.deg2rad([low, high])
             text += "looks like degrees in a file of radians"
             yield Fault(("joint", joint), name, text, span, True, right)
@@ -221,6 +224,66 @@ def armature(robot: Robot) -> Iterator[Fault]:
             yield Fault(place, drive.name, text, least / inertia, change=right)
 
 
+# --- feet and bases --------------------------------------------------------------------------------------------------
+
+LOW_FRICTION, HIGH_FRICTION = 0.05, 3.0
+"""Friction of feet: wet ice on rubber has 0.05 and more, racing tyres less than 3."""
+
+
+@rule(
+    "robot-friction",
+    title="friction of a foot that no real sole has",
+    source="wet ice 0.05, racing tyres below 3",
+    consequence="The foot slips or grips as on no real floor.",
+)
+def foot_friction(robot: Robot) -> Iterator[Fault]:
+    """Yield feet whose friction on the ground is outside of the limits."""
+    for row in robot.foot_rows:
+        condim, friction = robot.pairs.constants[row, :2].tolist()
+        met, ends = friction * (condim > 1), robot.pairs.geoms[row].tolist()
+        # The pair is in the order of ids; the foot is on a body of the robot.
+        ground, foot = sorted(
+            ends, key=lambda geom: int(robot.model.geom_bodyid[geom]) in robot.bodies
+        )
+        if not LOW_FRICTION <= met <= HIGH_FRICTION:
+            name = geom_name(robot.model, foot)
+            text = f"{name} has friction {met:g} on {geom_name(robot.model, ground)}"
+            text += ", by condim 1" if condim == 1 else ""
+            ratio = max(LOW_FRICTION / max(met, 1e-9), met / HIGH_FRICTION)
+            yield Fault(("geom", foot), name, text, ratio)
+
+
+FREE_SHARE = 0.05
+"""Share of its speed that a free base may lose in 1 s: air takes less from anything heavier than a balloon."""
+
+
+@rule(
+    "robot-free",
+    title="free joint that brakes its robot in the air",
+    source='nothing holds a base in the air; defaults of joints apply to <joint type="free"> and not to <freejoint>',
+    consequence="The policy learns to turn and fall slower than the robot does.",
+)
+def free_joint(robot: Robot) -> Iterator[Fault]:
+    """Yield free joints of robots with friction, damping or armature; a ball may be braked to keep it from rolling."""
+    model, matrix = robot.model, np.zeros((robot.model.nv, robot.model.nv))
+    bases = [root_of(model, drive.body) for drive in drives(robot)]
+    is_base = joints_of(model, "FREE") & np.isin(model.jnt_bodyid, bases)
+    if model.opt.density > LIQUID_KG_PER_M3 or not is_base.any():
+        return
+    mujoco.mj_fullM(model, start(robot), matrix)
+    damping = np.atleast_2d(model.dof_damping.T)[0]
+    dry, rotor = model.dof_frictionloss, model.dof_armature
+    shares = np.maximum(damping + dry, rotor) / (np.diag(matrix) - rotor)
+    for joint in np.flatnonzero(is_base).tolist():
+        first = model.jnt_dofadr[joint]
+        share = float(shares[first : first + 6].max())
+        if share > FREE_SHARE:
+            name = name_of(model, "body", int(model.jnt_bodyid[joint]))
+            text = f"{name} is braked in the air by damping {damping[first]:g}, friction {dry[first]:g}, "
+            text += f"armature {rotor[first]:g}"
+            yield Fault(("joint", joint), name, text, share)
+
+
 # --- the world -------------------------------------------------------------------------------------------------------
 
 
@@ -260,9 +323,7 @@ SENSORS = (mujoco.mjtSensor.mjSENS_ACCELEROMETER, mujoco.mjtSensor.mjSENS_GYRO)
 )
 def imu_frame(robot: Robot) -> Iterator[Fault]:
     """Yield sites of inertial sensors whose z axis points down where the robot stands."""
-    model, data = robot.model, mujoco.MjData(robot.model)
-    data.qpos[:] = robot.stance.qpos
-    mujoco.mj_kinematics(model, data)
+    model, data = robot.model, start(robot)
     for number in np.flatnonzero(np.isin(model.sensor_type, SENSORS)).tolist():
         site = int(model.sensor_objid[number])
         axis: FloatArray = data.site_xmat[site].reshape(3, 3)[:, 2]

@@ -9,6 +9,7 @@ import numpy as np
 
 from gauge_envs.backends.mujoco.contact_table import COLUMNS, PairKind, can_move
 from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.tools.sanity.model_checks.rule import Fault, rule
 from gauge_envs.tools.sanity.robot.robot import (
     Robot,
     disable_bit,
@@ -17,9 +18,7 @@ from gauge_envs.tools.sanity.robot.robot import (
     joints_of,
     joints_of_motors,
     name_of,
-    unheld,
 )
-from gauge_envs.tools.sanity.static_rules.rule import Fault, rule
 
 # --- contacts --------------------------------------------------------------------------------------------------------
 
@@ -131,7 +130,7 @@ def margin(robot: Robot) -> Iterator[Fault]:
         geom = int(pairs.geoms[row].max())
         name, ratio = geom_name(model, geom), ahead_m[row] / MAX_MARGIN_M
         text = (
-            f"{name} rests {1e3 * ahead_m[row]:.3g} mm above the ground, by its margin"
+            f"{name} rests {1e3 * ahead_m[row]:.4g} mm above the ground, by its margin"
         )
         wide = filter(model.geom_margin.__getitem__, pairs.geoms[row].tolist())
         for place in [("geom", wider) for wider in wide]:
@@ -249,11 +248,7 @@ LINK_SHARE = 0.2
 def gravcomp(robot: Robot) -> Iterator[Fault]:
     """Yield standing robots that gravity does not pull, and links without compensation next to one with it."""
     model, carried = robot.model, robot.model.body_gravcomp > 0.0
-    if (
-        robot.standing
-        and robot.standing.body in unheld(model)
-        and carried[robot.bodies].any()
-    ):
+    if robot.standing and carried[robot.bodies].any():
         body = next(body for body in robot.bodies if carried[body])
         name = name_of(model, "body", body)
         weight = model.body_mass[robot.bodies]

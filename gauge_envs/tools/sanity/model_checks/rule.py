@@ -1,4 +1,4 @@
-"""Define a static rule: it compares numbers of a model with each other, without a simulation.
+"""Define a rule: a check whose function yields the faulty elements of a model, most of them without a simulation.
 
 Example:
     ```python
@@ -57,7 +57,12 @@ class Fault(NamedTuple):
 
 
 def rule(
-    name: str, *, title: str, source: str, consequence: str
+    name: str,
+    *,
+    title: str,
+    source: str,
+    consequence: str,
+    is_simulated: bool = False,
 ) -> Callable[[Callable[[Robot], Iterable[Fault]]], ModelCheck]:
     """Return a decorator that makes a check of a function which yields faults; see `model_check`."""
 
@@ -71,6 +76,7 @@ def rule(
             interval=(0.0, 0.5),
             source=source,
             consequence=consequence,
+            is_simulated=is_simulated,
         )
         return check(measure)
 
@@ -102,5 +108,5 @@ def unit_text(ratio: float) -> str:
     ratio = max(abs(ratio), 1.0 / max(abs(ratio), 1e-300))
     for factor, unit in UNITS.items():
         if abs(ratio / factor - 1.0) < UNIT_TOLERANCE:
-            return f" ({factor:.3g} times: {unit})"
+            return f" ({factor:.4g} times: {unit})"
     return ""

@@ -1,0 +1,119 @@
+"""Checks of the contacts of a robot's own feet and fingers, each measured alone on the bench of two geoms."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+
+from gauge_envs.errors import TargetError
+from gauge_envs.pages.text import digits_text
+from gauge_envs.scene import GRAVITY_M_PER_S2
+from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.tools.sanity.model_checks.check import Finding, model_check
+from gauge_envs.tools.sanity.model_checks.ground import standing_of
+from gauge_envs.tools.sanity.pair_bench import bench, touch_of, touching
+from gauge_envs.tools.sanity.robot.robot import Robot, geom_name, grasping_pairs
+from gauge_envs.tools.sanity.verdict import NotApplicableError
+
+SHARE = 0.7
+"""Push over the limit of friction: that of gravity on the published wooden cube, which rests on 10 degrees."""
+
+MAX_CREEP_MM_PER_S = 1.4
+"""Fastest creep that the published scores of this cube allow [mm/s]; see `object_checks.friction`."""
+
+ROUND = range(mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_BOX)
+"""Types of geoms that roll."""
+
+MAX_PAIRS = 6
+"""Largest number of pairs of geoms with different contacts that are measured."""
+
+CREEP_SOURCE = (
+    "Coulomb: v = 0 below the limit; published trials of a wooden cube, at 0.7 of its limit, allow 1.4 mm/s "
+    "(paper, Table 5)"
+)
+
+Pair = tuple[int, int]
+
+
+@model_check(
+    "foot-creep",
+    title=f"creep of a foot at {SHARE:g} of its friction limit",
+    unit="mm/s",
+    interval=(0.0, MAX_CREEP_MM_PER_S),
+    source=CREEP_SOURCE,
+    consequence="A robot that stands drifts.",
+    is_usual=True,
+    is_simulated=True,
+)
+def foot_creep(robot: Robot) -> Finding:
+    """Return the fastest creep of a foot that carries its share of the robot's weight."""
+    standing, model = standing_of(robot), robot.model
+    weight_n = float(model.body_subtreemass[standing.body]) * GRAVITY_M_PER_S2
+    load_n = np.array([weight_n / len(standing.feet), 0.0])
+    geoms, first = (
+        robot.pairs.geoms[robot.foot_rows],
+        model.body_jntadr[model.geom_bodyid],
+    )
+    away_m = np.linalg.norm(model.jnt_pos[first] - model.geom_pos, axis=1)
+    # A round geom that turns about its centre is a wheel.
+    wheels = np.isin(model.geom_type, ROUND) & (first >= 0)
+    wheels &= away_m < 0.1 * model.geom_rbound
+    rows = np.array(robot.foot_rows)[~wheels[geoms].any(axis=1)].tolist()
+    return _creep(robot, rows, lambda pair: load_n)
+
+
+@model_check(
+    "grasp-creep",
+    title=f"creep of a finger on an object at {SHARE:g} of its friction limit",
+    unit="mm/s",
+    interval=(0.0, MAX_CREEP_MM_PER_S),
+    source=CREEP_SOURCE,
+    consequence="What a hand holds slips out of it.",
+    is_usual=True,
+    is_simulated=True,
+)
+def grasp_creep(robot: Robot) -> Finding:
+    """Return the fastest creep of a driven part on a free body, with the load of the run, or the body's weight."""
+    rows = np.flatnonzero(grasping_pairs(robot.model, robot.pairs)).tolist()
+    if robot.standing is not None or not rows:
+        raise NotApplicableError("no arm of the model can grasp a free body")
+    model = robot.model
+
+    def load_n(pair: Pair) -> FloatArray:
+        trees = model.body_treeid[model.geom_bodyid[list(pair)]].tolist()
+        free = next(tree for tree in trees if tree not in robot.driven_trees)
+        weight_n = model.body_subtreemass[model.tree_bodyadr[free]] * GRAVITY_M_PER_S2
+        return touching(robot).get(pair, np.array([weight_n, 0.0]))
+
+    return _creep(robot, rows, load_n)
+
+
+def _creep(
+    robot: Robot, rows: Sequence[int], load_n: Callable[[Pair], FloatArray]
+) -> Finding:
+    """Return the pair that creeps fastest, of rows of `pairs` with friction and different contacts."""
+    model, speeds, worst = robot.model, dict[str, float](), Finding(value=0.0)
+    pairs: dict[str, int] = {}
+    for row in rows:
+        links = model.geom_bodyid[robot.pairs.geoms[row]]
+        weights = model.body_invweight0[links, 0].round(3)
+        if robot.pairs.constants[row, 0] >= 3:
+            key = str([robot.pairs.constants[row].tolist(), weights.tolist()])
+            pairs.setdefault(key, row)
+    for row in [*pairs.values()][:MAX_PAIRS]:
+        first, second = robot.pairs.geoms[row].tolist()
+        touch = touch_of(robot, (first, second), load_n((first, second)))
+        try:
+            measured = bench(robot, touch, robot.pairs.constants[row])
+        except TargetError:
+            continue
+        speed = 1e-3 * measured.creep_um_per_s(SHARE)
+        name, on = (geom_name(model, geom) for geom in (touch.moving, touch.fixed))
+        speeds[name] = max(speed, speeds.get(name, 0.0))
+        if speed > worst.value:
+            text = f"{name} creeps on {on} at {digits_text(speed)} mm/s, pushed with {SHARE:g} of its friction limit"
+            worst = Finding(value=speed, place=("geom", touch.moving), remark=text)
+    return replace(worst, parts=speeds)
