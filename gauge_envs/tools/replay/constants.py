@@ -7,26 +7,29 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from scipy.optimize import approx_fprime, least_squares
-from scipy.stats import t as student
 
 from gauge_envs.errors import ParameterError
 from gauge_envs.names import first_names
 from gauge_envs.pages.document import Document, Paragraph, Tone
 from gauge_envs.pages.table import Column, Table
 from gauge_envs.tools.replay.causes import Cause, ParameterGroup, candidates
-from gauge_envs.tools.replay.fit import THRESHOLDS, Fit, Problem
+from gauge_envs.tools.replay.fit import Fit, Problem, fit_values
 from gauge_envs.tools.replay.judge import judge_document, judge_setups, load_setups
 from gauge_envs.tools.replay.log import FloatArray, LogMap
-from gauge_envs.tools.replay.model import quiet_engine, uses_degrees
+from gauge_envs.tools.replay.model import Replayer, Setup, quiet_engine, uses_degrees
 from gauge_envs.tools.replay.paste import Change
 from gauge_envs.tools.replay.report import fitted_values
 from gauge_envs.tools.replay.schema import ConstantsLine, Value
 
 ATTRIBUTES = {"frictionloss": "dry friction", "kv": "kd", "forcerange": "effort limit"}
 """Causes by the name of their attribute in MJCF."""
-MAX_WIDTH = 1.0
-"""Half of the 95 % interval of a number, over the present or typical value, up to which the logs determine it."""
+LONG_S, LONG_COUNT = 1.0, 20
+"""Length and number of the pieces of a log that determine the numbers."""
+MAX_WIDTH = 2.0
+"""Half of the 95 % interval of a number, over its value or the typical one, up to which the logs determine it.
+
+With a standard error above its value, a number predicts worse than the present one.
+"""
 
 
 @dataclass(frozen=True)
@@ -69,19 +72,17 @@ def fit_logs(
         ParameterError: A name is none of the model.
     """
     with quiet_engine():
-        problems = [Problem(*pair) for pair in load_setups(logs, model, mapped)]
-        found = fit_constants(problems, names, joints)
+        pairs = load_setups(logs, model, mapped)
+        found = fit_constants(pairs, names, joints)
         present = load_setups(tests or logs, model, mapped)
         fitted = []
         for replayer, setup in present:
-            for (cause, group), numbers in found.fit.split(found.fit.numbers):
-                setup = cause.change(setup, group, numbers)
-            fitted.append((replayer, setup))
+            fitted.append((replayer, found.fit.change(setup)))
         judged = judge_setups([model.name, "fitted"], [present, fitted])
         change = Change(
-            before=problems[0].setup,
-            after=problems[0].shown_setup(found.fit),
-            replayer=problems[0].replayer,
+            before=pairs[0][1],
+            after=found.fit.shown_setup(pairs[0][1]),
+            replayer=pairs[0][0],
             in_degrees=uses_degrees(model),
             given=mapped,
             mapped=mapped,
@@ -94,20 +95,24 @@ def fit_logs(
 
 
 def fit_constants(
-    problems: Sequence[Problem], names: Sequence[str], joints: Sequence[str]
+    pairs: Sequence[tuple[Replayer, Setup]], names: Sequence[str], joints: Sequence[str]
 ) -> Constants:
     """Return constants of joints that make the predictions of all logs best, by least squares.
 
-    A number whose interval is wider than its value keeps the present value, and the others are fitted again.
+    Of each joint, the number whose interval is widest,
+    and far wider than its value, keeps the present value, and the others are fitted again.
 
     Args:
-        problems: The logs.
+        pairs: The logs.
         names: Causes or attributes of MJCF, as `armature`.
         joints: Joints, or none for all.
 
     Raises:
         ParameterError: A name is none of the model.
     """
+    problems = [
+        Problem(*pair, piece_s=_long_s(pair[0]), count=LONG_COUNT) for pair in pairs
+    ]
     terms = _terms(problems[0], names, joints)
     unknown: list[str] = []
     while True:
@@ -117,22 +122,36 @@ def fit_constants(
             training=np.zeros(0),
             slopes=np.zeros(0),
         )
-        fit = _minimize(problems, fit)
-        width = np.asarray(fit.half_width)
-        if (width < MAX_WIDTH).all():
+        fit = fit_values(fit, problems)
+        lost = _undetermined(fit)
+        if not lost:
             return Constants(fit, _values(fit), unknown)
-        kept = []
-        for (cause, group), widths in fit.split(width):
-            known = widths < MAX_WIDTH
-            for column in group.selection.T[~known]:
-                parameter = cause.parameters[int(np.argmax(column))]
-                unknown.append(f"{cause.name} of {parameter}")
-            if known.any():
-                columns = group.selection[:, known]
-                kept.append((cause, ParameterGroup(group.label, columns)))
-        if not kept:
+        unknown += [f"{cause} of {parameter}" for parameter, cause in lost.items()]
+        terms = []
+        for cause, group in fit.terms:
+            rows = np.argmax(group.selection, axis=0)
+            kept = [lost.get(cause.parameters[row]) != cause.name for row in rows]
+            if any(kept):
+                selection = group.selection[:, kept]
+                terms.append((cause, ParameterGroup(group.label, selection)))
+        if not terms:
             return Constants(problems[0].before, (), unknown)
-        terms = kept
+
+
+def _undetermined(fit: Fit) -> dict[str, str]:
+    """Return the cause whose interval is too wide, by parameter; the one with the widest interval."""
+    widest: dict[str, tuple[float, str]] = {}
+    for cause, group, fitted, _low, high in fit.intervals():
+        width = (high - fitted) / np.maximum(np.abs(fitted), cause.scale)
+        for row in np.argmax(group.selection, axis=0).tolist():
+            parameter, found = cause.parameters[row], (width[row], cause.name)
+            if width[row] > MAX_WIDTH:
+                widest[parameter] = max(widest.get(parameter, found), found)
+    return {parameter: cause for parameter, (_width, cause) in widest.items()}
+
+
+def _long_s(replayer: Replayer) -> float:
+    return min(LONG_S, 0.25 * replayer.longest_s())
 
 
 def _terms(
@@ -171,37 +190,6 @@ def _start(cause: Cause, group: ParameterGroup) -> FloatArray:
     numbers = (cause.present - cause.zero) / cause.scale
     lower = cause.lower(group)
     return np.clip(group.selection.T @ numbers, lower, cause.far)
-
-
-def _minimize(problems: Sequence[Problem], fit: Fit) -> Fit:
-    """Return the least squares over all pieces of all logs, with intervals."""
-
-    def residuals(numbers: FloatArray) -> FloatArray:
-        rows = [
-            problem.residuals(fit, numbers, half)
-            for problem in problems
-            for half in (0, 1)
-        ]
-        return np.concatenate(rows).ravel()
-
-    def slopes(numbers: FloatArray) -> FloatArray:
-        return approx_fprime(numbers, residuals, THRESHOLDS.slope_step)
-
-    found = least_squares(
-        residuals,
-        fit.numbers,
-        slopes,
-        bounds=(np.minimum(fit.lower, fit.numbers), fit.upper),
-        ftol=THRESHOLDS.min_gain,
-        max_nfev=THRESHOLDS.max_predictions,
-    )
-    freedom = len(found.fun) - len(found.x)
-    # Residuals of a model that is not perfect are correlated in a piece: each piece counts once.
-    pieces = sum(len(problem.pieces) for problem in problems)
-    variance = 2.0 * found.cost / freedom * len(found.fun) / pieces
-    spread = np.sqrt(np.diag(np.linalg.pinv(found.jac.T @ found.jac)))
-    half = student.ppf(0.975, pieces) * spread * np.sqrt(max(variance, 1.0))
-    return replace(fit, numbers=found.x, half_width=half)
 
 
 def _values(fit: Fit) -> list[Value]:

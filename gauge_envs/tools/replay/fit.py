@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import copy
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import product
 from typing import NamedTuple
 
-import mujoco
 import numpy as np
-from scipy.optimize import approx_fprime, least_squares, lsq_linear
+from scipy.optimize import OptimizeResult, approx_fprime, least_squares, lsq_linear
 from scipy.stats import t as student, wilcoxon
 
 from gauge_envs.tools.replay.causes import Cause, ParameterGroup, groups_of_one
@@ -170,6 +168,20 @@ class Fit:
         parts = np.split(numbers, np.cumsum(sizes)[:-1])
         return zip(self.terms, parts, strict=False)
 
+    def change(self, setup: Setup) -> Setup:
+        """Return a setup with the values of the fit."""
+        for (cause, group), numbers in self.split(self.numbers):
+            setup = cause.change(setup, cause.values(group, numbers))
+        return setup
+
+    def shown_setup(self, setup: Setup) -> Setup:
+        """Return a setup with the values that are printed: four digits, and the present one inside an interval."""
+        for cause, _group, fitted, low, high in self.intervals():
+            rounded = np.array([float(f"{value:.4g}") for value in fitted])
+            is_equal = (low <= cause.present) & (high >= cause.present)
+            setup = cause.change(setup, np.where(is_equal, cause.present, rounded))
+        return setup
+
     def intervals(self) -> Iterator[Interval]:
         """Yield the values of each cause, with their 95 % intervals."""
         half = np.nan * self.numbers if self.half_width is None else self.half_width
@@ -239,7 +251,7 @@ class Problem:
         A cause may change how the noise propagates: feet that slip keep a velocity, and feet that stick lose it. The
         problem itself is returned if the fit predicts no pieces, or if their noise hides the error of the model.
         """
-        noisy, count = self.setup_of(fit), THRESHOLDS.long_count
+        noisy, count = fit.change(self.setup), THRESHOLDS.long_count
         length_s = min(self.replayer.longest_s() / count, THRESHOLDS.max_long_s)
         while length_s > THRESHOLDS.piece_s and self.floor == 1.0:
             problem = Problem(
@@ -266,8 +278,7 @@ class Problem:
             is_rival = index == 0 or " and ".join(fit.names) in names
             is_far = judged.error > self.floor * (1.0 + THRESHOLDS.near_noise)
             if is_rival and is_far and len(fit.numbers):
-                start = replace(judged, step=0.0 * fit.numbers)
-                again = self.minimize(start, measure=True)
+                again = self.minimize(judged, measure=True)
                 judged = min(judged, again, key=self.cost)
             found.append(judged)
         return sorted(found, key=self.cost)
@@ -289,31 +300,17 @@ class Problem:
         is_odd = errors > THRESHOLDS.odd_error * max(np.median(errors), self.floor)
         return pieces[is_odd & (is_odd.mean() < THRESHOLDS.max_odd)]
 
-    def setup_of(self, fit: Fit) -> Setup:
-        """Return the setup of a fit."""
-        setup = self.setup
-        for (cause, group), numbers in fit.split(fit.numbers):
-            setup = cause.change(setup, group, numbers)
-        return setup
-
-    def shown_setup(self, fit: Fit) -> Setup:
-        """Return the setup with the values that are printed: four digits, and the present one inside an interval."""
-        setup = self.setup
-        for cause, _group, fitted, low, high in fit.intervals():
-            rounded = np.array([float(f"{value:.4g}") for value in fitted])
-            is_equal = (low <= cause.present) & (high >= cause.present)
-            after = copy.deepcopy(setup)
-            cause.apply(after, np.where(is_equal, cause.present, rounded))
-            mujoco.mj_setConst(after.model, mujoco.MjData(after.model))
-            setup = after
-        return setup
-
     def residuals(self, fit: Fit, numbers: FloatArray, half: int) -> FloatArray:
         """Return the whitened residuals of the training or the held-out pieces for numbers, shape [P, T D]."""
-        setup = self.setup_of(replace(fit, numbers=numbers))
+        setup = replace(fit, numbers=numbers).change(self.setup)
         deviation = self.replayer.predict(setup, self._halves[half])
         columns = deviation.reshape(len(deviation), -1, 1)
         return (self.whiteners[half] @ columns)[..., 0]
+
+    def sizes(self, half: int) -> IntArray:
+        """Return the number of residuals of each training or held-out piece, shape [P]."""
+        pieces, size, _ = self.whiteners[half].shape
+        return np.full(pieces, size)
 
     def predict(self, fit: Fit) -> Fit:
         """Return a fit with all its residuals."""
@@ -327,28 +324,8 @@ class Problem:
             fit: Where it begins.
             measure: Whether the slopes are measured by finite differences at each step; else those of the fit are used.
         """
-
-        def residuals(numbers: FloatArray) -> FloatArray:
-            return self.residuals(fit, numbers, 0).ravel()
-
-        def slopes(numbers: FloatArray) -> FloatArray:
-            if not measure:
-                return fit.slopes.reshape(-1, len(numbers))
-            return approx_fprime(numbers, residuals, THRESHOLDS.slope_step)
-
-        # A present value may be below the smallest one that is fitted, as no friction.
-        lower = np.minimum(fit.lower, fit.numbers)
-        found = least_squares(
-            residuals,
-            fit.numbers,
-            slopes,
-            bounds=(lower, np.maximum(fit.upper, fit.numbers + 1e-9)),
-            method="dogbox",
-            x_scale=np.maximum(np.abs(fit.step), 1.0) if measure else 1.0,
-            ftol=THRESHOLDS.min_gain,
-            xtol=THRESHOLDS.min_step,
-            max_nfev=THRESHOLDS.max_predictions,
-        )
+        slopes = None if measure else fit.slopes.reshape(-1, len(fit.numbers))
+        found = least_residuals(fit, [(self, 0)], slopes)
         training = found.fun.reshape(len(self._halves[0]), -1)
         return replace(
             fit,
@@ -358,13 +335,6 @@ class Problem:
             reach=np.full(len(found.x), np.inf),
             held_out=self.residuals(fit, found.x, 1),
         )
-
-    def polish(self, fit: Fit) -> Fit:
-        """Return a fit after least squares with measured slopes, with intervals."""
-        if not len(fit.numbers):
-            return self.predict(fit)
-        fit = self.minimize(replace(fit, step=0.0 * fit.numbers), measure=True)
-        return replace(fit, half_width=_half_width(fit.slopes, fit.training))
 
     def excess(self, fit: Fit) -> float:
         """Return the error beyond that of a perfect model, over it.
@@ -426,24 +396,57 @@ def try_cause(problem: Problem, cause: Cause, base: Fit) -> list[Fit]:
     return fits
 
 
-def _half_width(slopes: FloatArray, residuals: FloatArray) -> FloatArray:
-    """Return half of the 95 % interval of each number, shape [p].
+def least_residuals(
+    fit: Fit,
+    halves: Sequence[tuple[Problem, int]],
+    slopes: FloatArray | None = None,
+) -> OptimizeResult:
+    """Return the least squares of the residuals of halves of problems, from the numbers of a fit on.
 
-    The sandwich A^-1 B A^-1 sums the gradients by pieces, so that correlated residuals and the spread over the pieces
-    both widen it.
-
-    Args:
-        slopes: Change of the residuals per number, shape [P, T D, p].
-        residuals: Training residuals, shape [P, T D].
+    The slopes are measured by finite differences at each step, or given, shape [R, p].
     """
-    inverse = np.linalg.pinv(np.einsum("pri,prj->ij", slopes, slopes))
-    gradients = np.einsum("pri,pr->pi", slopes, residuals)
+
+    def residuals(numbers: FloatArray) -> FloatArray:
+        rows = [problem.residuals(fit, numbers, half) for problem, half in halves]
+        return np.concatenate([row.ravel() for row in rows])
+
+    def measured(numbers: FloatArray) -> FloatArray:
+        return approx_fprime(numbers, residuals, THRESHOLDS.slope_step)
+
+    # A present value may be below the smallest one that is fitted, as no friction.
+    lower = np.minimum(fit.lower, fit.numbers)
+    return least_squares(
+        residuals,
+        fit.numbers,
+        measured if slopes is None else lambda _: slopes,
+        bounds=(lower, np.maximum(fit.upper, fit.numbers + 1e-9)),
+        ftol=THRESHOLDS.min_gain,
+        xtol=THRESHOLDS.min_step,
+        max_nfev=THRESHOLDS.max_predictions,
+    )
+
+
+def fit_values(fit: Fit, problems: Sequence[Problem]) -> Fit:
+    """Return a fit with the numbers that all pieces of problems give together, and their 95 % intervals.
+
+    The residuals remain those of the training and the held-out pieces. The sandwich A^-1 B A^-1 sums the gradients by
+    pieces, so that correlated residuals and the spread over the pieces both widen an interval.
+    """
+    if not len(fit.numbers):
+        return fit
+    halves = [(problem, half) for problem in problems for half in (0, 1)]
+    found = least_residuals(fit, halves)
+    sizes = [problem.sizes(half) for problem, half in halves]
+    first = np.cumsum(np.append(0, np.concatenate(sizes)))[:-1]
+    gradients = np.add.reduceat(found.jac * found.fun[:, None], first)
+    inverse = np.linalg.pinv(found.jac.T @ found.jac)
     pieces, count = gradients.shape
     freedom = max(pieces - count, 1)
     spread = inverse @ gradients.T @ gradients @ inverse * pieces / freedom
     # The noise alone gives the narrowest interval.
     variance = np.maximum(np.diag(spread), np.abs(np.diag(inverse)))
-    return student.ppf(0.975, freedom) * np.sqrt(variance)
+    half_width = student.ppf(0.975, freedom) * np.sqrt(variance)
+    return replace(fit, numbers=found.x, half_width=half_width)
 
 
 def best_fits(
@@ -474,7 +477,8 @@ def best_fits(
             limit = min(limit, THRESHOLDS.max_worse * fit.linear_error)
     fits.sort(key=problem.cost)
     for index, fit in enumerate(fits[: THRESHOLDS.max_polished]):
-        fits[index] = problem.polish(fit)
+        if len(fit.numbers):
+            fits[index] = problem.minimize(fit, measure=True)
     return sorted(fits, key=problem.cost)
 
 
@@ -638,4 +642,8 @@ def explain(
     verdict = _verdict(judge, alone, several)
     if verdict is ReplayVerdict.SEVERAL:
         names = judge.still_equal(together, pairs)
+    if verdict is ReplayVerdict.CAUSE or several is None:
+        alone[0] = fit_values(alone[0], [judge])
+    else:
+        several = fit_values(several, [judge])
     return Explanation(judge, verdict, alone, names, several)

@@ -119,7 +119,7 @@ def replay(
             problem.floor = max(1.0, problems[0].before.error)
         causes = candidates(problem.replayer, problem.setup)
         explanation = explain(problem, causes, advance)
-        setup = problem.setup_of(explanation.change or problem.before)
+        setup = (explanation.change or problem.before).change(problem.setup)
         misfit = problem.replayer.misfit(setup, problem.pieces)
         return logs, explanation, misfit.sum()
 
@@ -145,7 +145,7 @@ def replay(
     named = explanation.change if line.named else None
     change = Change(
         before=problem.setup,
-        after=problem.shown_setup(named) if named else problem.setup,
+        after=named.shown_setup(problem.setup) if named else problem.setup,
         replayer=problem.replayer,
         in_degrees=uses_degrees(model),
         given=given,
@@ -208,7 +208,7 @@ def _try_change(problem: Problem, change: Fit) -> Trial:
     """Return the error of predictions before and after a change, of the joint that is worst before."""
     replayer = problem.replayer
     pieces = replayer.pieces(TRIAL_S, 2 * THRESHOLDS.piece_count, outputs=1)[1::2]
-    setups = problem.setup, problem.setup_of(change)
+    setups = problem.setup, change.change(problem.setup)
     before, after = (
         _rms(replayer.predict(each, pieces)[:, 0, replayer.is_joint]) for each in setups
     )
