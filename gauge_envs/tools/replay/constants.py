@@ -13,7 +13,7 @@ from gauge_envs.names import first_names
 from gauge_envs.pages.document import Document, Paragraph, Tone
 from gauge_envs.pages.table import Column, Table
 from gauge_envs.tools.replay.causes import Cause, ParameterGroup, candidates
-from gauge_envs.tools.replay.fit import Fit, Problem, fit_values
+from gauge_envs.tools.replay.fit import THRESHOLDS, Fit, Problem, fit_values
 from gauge_envs.tools.replay.judge import judge_document, judge_setups, load_setups
 from gauge_envs.tools.replay.log import FloatArray, LogMap
 from gauge_envs.tools.replay.model import Replayer, Setup, quiet_engine, uses_degrees
@@ -23,8 +23,6 @@ from gauge_envs.tools.replay.schema import ConstantsLine, Value
 
 ATTRIBUTES = {"frictionloss": "dry friction", "kv": "kd", "forcerange": "effort limit"}
 """Causes by the name of their attribute in MJCF."""
-LONG_S, LONG_COUNT = 1.0, 20
-"""Length and number of the pieces of a log that determine the numbers."""
 MAX_WIDTH = 2.0
 """Half of the 95 % interval of a number, over its value or the typical one, up to which the logs determine it.
 
@@ -110,9 +108,11 @@ def fit_constants(
     Raises:
         ParameterError: A name is none of the model.
     """
-    problems = [
-        Problem(*pair, piece_s=_long_s(pair[0]), count=LONG_COUNT) for pair in pairs
-    ]
+    problems = []
+    for replayer, setup in pairs:
+        piece_s = min(THRESHOLDS.value_s, 0.25 * replayer.longest_s())
+        count = THRESHOLDS.value_count
+        problems.append(Problem(replayer, setup, piece_s=piece_s, count=count))
     terms = _terms(problems[0], names, joints)
     unknown: list[str] = []
     while True:
@@ -148,10 +148,6 @@ def _undetermined(fit: Fit) -> dict[str, str]:
             if width[row] > MAX_WIDTH:
                 widest[parameter] = max(widest.get(parameter, found), found)
     return {parameter: cause for parameter, (_width, cause) in widest.items()}
-
-
-def _long_s(replayer: Replayer) -> float:
-    return min(LONG_S, 0.25 * replayer.longest_s())
 
 
 def _terms(

@@ -30,6 +30,8 @@ class Thresholds:
     Attributes:
         piece_s: Length of the predictions that are fitted first [s].
         piece_count: Number of these pieces; every other one is held out.
+        value_s, value_count: Length and number of the pieces that give the values of the fit that is named, or of
+            constants.
         long_count: Number of the long pieces by which the best fits are judged.
         max_long_s: Length of the longest of them.
         max_noise_error: Error below which nothing is left to explain.
@@ -60,6 +62,8 @@ class Thresholds:
 
     piece_s: float = 0.25
     piece_count: int = 28
+    value_s: float = 1.0
+    value_count: int = 20
     long_count: int = 4
     max_long_s: float = 3.0
     max_noise_error: float = 1.3
@@ -233,7 +237,7 @@ class Problem:
         floor: float = 1.0,
     ) -> None:
         self.replayer, self.setup, self.floor = replayer, setup, floor
-        self.weight = 1.0
+        self.weight, self.piece_s = 1.0, piece_s
         self.pieces = replayer.pieces(piece_s, count)
         self._halves = self.pieces[::2], self.pieces[1::2]
         covariances = [
@@ -266,6 +270,17 @@ class Problem:
                 return problem
             length_s *= 0.5
         return self
+
+    def for_values(self, fit: Fit) -> Problem:
+        """Return the problem whose pieces give the values of a fit; no longer than those that judge it."""
+        return Problem(
+            self.replayer,
+            self.setup,
+            noisy=fit.change(self.setup),
+            piece_s=min(self.piece_s, THRESHOLDS.value_s),
+            count=THRESHOLDS.value_count,
+            floor=self.floor,
+        )
 
     def judged(self, fits: Sequence[Fit], names: Sequence[str]) -> list[Fit]:
         """Return fits of other pieces with the residuals of these, the best first.
@@ -643,7 +658,7 @@ def explain(
     if verdict is ReplayVerdict.SEVERAL:
         names = judge.still_equal(together, pairs)
     if verdict is ReplayVerdict.CAUSE or several is None:
-        alone[0] = fit_values(alone[0], [judge])
+        alone[0] = fit_values(alone[0], [judge.for_values(alone[0])])
     else:
-        several = fit_values(several, [judge])
+        several = fit_values(several, [judge.for_values(several)])
     return Explanation(judge, verdict, alone, names, several)
