@@ -15,14 +15,7 @@ from gauge_envs.pages.document import Document, Paragraph, Part, Tone
 from gauge_envs.pages.table import Column, Table
 from gauge_envs.tools.replay.causes import Cause, candidates
 from gauge_envs.tools.replay.conventions import find_conventions, fixed_base
-from gauge_envs.tools.replay.fit import (
-    THRESHOLDS,
-    Explanation,
-    Fit,
-    Interval,
-    Problem,
-    explain,
-)
+from gauge_envs.tools.replay.fit import THRESHOLDS, Fit, Interval, Problem
 from gauge_envs.tools.replay.log import FloatArray, Log, LogMap, read_log
 from gauge_envs.tools.replay.model import (
     UNLIMITED,
@@ -45,6 +38,7 @@ from gauge_envs.tools.replay.schema import (
     Trial,
     Value,
 )
+from gauge_envs.tools.replay.search import Explanation, explain
 
 HORIZONS_S = {0.0: 400, 0.1: 300, 0.5: 120}
 """Lengths of the predictions of the table, and their number; the first is one interval of the log."""
