@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from gauge_envs.errors import ParameterError
+from gauge_envs.files import write_whole
 from gauge_envs.names import first_names
 from gauge_envs.pages.document import Document, Paragraph, Tone
 from gauge_envs.pages.table import Column, Table
@@ -63,7 +64,7 @@ def fit_logs(
         names: Causes or attributes of MJCF, as `armature`.
         joints: Joints, or none for all.
         mapped: Names, signs, units and gains.
-        write: MJCF file for the model with the constants.
+        write: MJCF file for the model with the constants, or YAML file for `mujoco.sysid`.
 
     Raises:
         FileError: A file cannot be used.
@@ -73,9 +74,7 @@ def fit_logs(
         pairs = load_setups(logs, model, mapped)
         found = fit_constants(pairs, names, joints)
         present = load_setups(tests or logs, model, mapped)
-        fitted = []
-        for replayer, setup in present:
-            fitted.append((replayer, found.fit.change(setup)))
+        fitted = [(each, found.fit.change(setup)) for each, setup in present]
         judged = judge_setups([model.name, "fitted"], [present, fitted])
         change = Change(
             before=pairs[0][1],
@@ -85,7 +84,9 @@ def fit_logs(
             given=mapped,
             mapped=mapped,
         )
-        if write is not None:
+        if write is not None and write.suffix in (".yaml", ".yml"):
+            write_whole(write, parameter_dict(found.values))
+        elif write is not None:
             change.write(model, write)
     return ConstantsLine(
         tuple(found.values), tuple(found.unknown), tuple(judged), change.lines()
@@ -195,6 +196,26 @@ def _values(fit: Fit) -> list[Value]:
         for interval in fit.intervals()
         for value in fitted_values(interval)
     ]
+
+
+def parameter_dict(values: Sequence[Value]) -> bytes:
+    """Return constants as a file that `ParameterDict.load_from_disk` of `mujoco.sysid` reads, bounded by intervals."""
+    lines = []
+    for value in values:
+        nominal = value.fitted if value.present is None else value.present
+        # A nominal value outside of the interval widens the bounds.
+        ends = [end for end in (value.low, value.high, nominal) if end is not None]
+        numbers = {
+            "nominal": nominal,
+            "min_value": min(ends),
+            "max_value": max(ends),
+            "value": value.fitted,
+        }
+        # YAML 1.1 reads an exponent only after a point.
+        fields = ", ".join(f"{key}: [{x:.9e}]" for key, x in numbers.items())
+        name = f'"{value.parameter}"'
+        lines.append(f"{name}: {{name: {name}, {fields}, frozen: false}}\n")
+    return "".join(lines).encode()
 
 
 def constants_document(line: ConstantsLine) -> Document:
