@@ -316,11 +316,6 @@ class Problem:
         columns = deviation.reshape(len(deviation), -1, 1)
         return (self.whiteners[half] @ columns)[..., 0]
 
-    def sizes(self, half: int) -> IntArray:
-        """Return the number of residuals of each training or held-out piece, shape [P]."""
-        pieces, size, _ = self.whiteners[half].shape
-        return np.full(pieces, size)
-
     def predict(self, fit: Fit) -> Fit:
         """Return a fit with all its residuals."""
         training, held_out = (self.residuals(fit, fit.numbers, half) for half in (0, 1))
@@ -401,8 +396,10 @@ def fit_values(fit: Fit, problems: Sequence[Problem]) -> Fit:
         return fit
     halves = [(problem, half) for problem in problems for half in (0, 1)]
     found = least_residuals(fit, halves)
-    sizes = [problem.sizes(half) for problem, half in halves]
-    first = np.cumsum(np.append(0, np.concatenate(sizes)))[:-1]
+    # Numbers of pieces, and of residuals of each.
+    shapes = [problem.whiteners[half].shape[:2] for problem, half in halves]
+    sizes = np.concatenate([np.full(*shape) for shape in shapes])
+    first = np.cumsum(sizes) - sizes
     gradients = np.add.reduceat(found.jac * found.fun[:, None], first)
     inverse = np.linalg.pinv(found.jac.T @ found.jac)
     pieces, count = gradients.shape
