@@ -135,10 +135,10 @@ class Cause:
         base = np.where(is_moved, self.zero, self.present)
         return base + self.scale * (group.selection @ numbers)
 
-    def change(self, setup: Setup, group: ParameterGroup, numbers: FloatArray) -> Setup:
-        """Return a changed copy of a setup."""
+    def change(self, setup: Setup, values: FloatArray) -> Setup:
+        """Return a copy of a setup with other values."""
         after = copy.deepcopy(setup)
-        self.apply(after, self.values(group, numbers))
+        self.apply(after, values)
         mujoco.mj_setConst(after.model, mujoco.MjData(after.model))
         return after
 

@@ -74,7 +74,7 @@ def replay(
         Path | None,
         arguments.option(
             arguments.OUTPUT,
-            "MJCF of the model with the fitted constants.",
+            "MJCF of the model with the fitted constants, or YAML for mujoco.sysid.",
             metavar="FILE",
         ),
     ] = None,

@@ -7,26 +7,28 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from scipy.optimize import approx_fprime, least_squares
-from scipy.stats import t as student
 
 from gauge_envs.errors import ParameterError
+from gauge_envs.files import write_whole
 from gauge_envs.names import first_names
 from gauge_envs.pages.document import Document, Paragraph, Tone
 from gauge_envs.pages.table import Column, Table
 from gauge_envs.tools.replay.causes import Cause, ParameterGroup, candidates
-from gauge_envs.tools.replay.fit import THRESHOLDS, Fit, Problem
+from gauge_envs.tools.replay.fit import THRESHOLDS, Fit, Problem, fit_values
 from gauge_envs.tools.replay.judge import judge_document, judge_setups, load_setups
 from gauge_envs.tools.replay.log import FloatArray, LogMap
-from gauge_envs.tools.replay.model import quiet_engine, uses_degrees
+from gauge_envs.tools.replay.model import Replayer, Setup, quiet_engine, uses_degrees
 from gauge_envs.tools.replay.paste import Change
 from gauge_envs.tools.replay.report import fitted_values
 from gauge_envs.tools.replay.schema import ConstantsLine, Value
 
 ATTRIBUTES = {"frictionloss": "dry friction", "kv": "kd", "forcerange": "effort limit"}
 """Causes by the name of their attribute in MJCF."""
-MAX_WIDTH = 1.0
-"""Half of the 95 % interval of a number, over the present or typical value, up to which the logs determine it."""
+MAX_WIDTH = 2.0
+"""Half of the 95 % interval of a number, over its value or the typical one, up to which the logs determine it.
+
+With a standard error above its value, a number predicts worse than the present one.
+"""
 
 
 @dataclass(frozen=True)
@@ -62,31 +64,29 @@ def fit_logs(
         names: Causes or attributes of MJCF, as `armature`.
         joints: Joints, or none for all.
         mapped: Names, signs, units and gains.
-        write: MJCF file for the model with the constants.
+        write: MJCF file for the model with the constants, or YAML file for `mujoco.sysid`.
 
     Raises:
         FileError: A file cannot be used.
         ParameterError: A name is none of the model.
     """
     with quiet_engine():
-        problems = [Problem(*pair) for pair in load_setups(logs, model, mapped)]
-        found = fit_constants(problems, names, joints)
+        pairs = load_setups(logs, model, mapped)
+        found = fit_constants(pairs, names, joints)
         present = load_setups(tests or logs, model, mapped)
-        fitted = []
-        for replayer, setup in present:
-            for (cause, group), numbers in found.fit.split(found.fit.numbers):
-                setup = cause.change(setup, group, numbers)
-            fitted.append((replayer, setup))
+        fitted = [(each, found.fit.change(setup)) for each, setup in present]
         judged = judge_setups([model.name, "fitted"], [present, fitted])
         change = Change(
-            before=problems[0].setup,
-            after=problems[0].shown_setup(found.fit),
-            replayer=problems[0].replayer,
+            before=pairs[0][1],
+            after=found.fit.shown_setup(pairs[0][1]),
+            replayer=pairs[0][0],
             in_degrees=uses_degrees(model),
             given=mapped,
             mapped=mapped,
         )
-        if write is not None:
+        if write is not None and write.suffix in (".yaml", ".yml"):
+            write_whole(write, parameter_dict(found.values))
+        elif write is not None:
             change.write(model, write)
     return ConstantsLine(
         tuple(found.values), tuple(found.unknown), tuple(judged), change.lines()
@@ -94,20 +94,26 @@ def fit_logs(
 
 
 def fit_constants(
-    problems: Sequence[Problem], names: Sequence[str], joints: Sequence[str]
+    pairs: Sequence[tuple[Replayer, Setup]], names: Sequence[str], joints: Sequence[str]
 ) -> Constants:
     """Return constants of joints that make the predictions of all logs best, by least squares.
 
-    A number whose interval is wider than its value keeps the present value, and the others are fitted again.
+    Of each joint, the number whose interval is widest,
+    and far wider than its value, keeps the present value, and the others are fitted again.
 
     Args:
-        problems: The logs.
+        pairs: The logs.
         names: Causes or attributes of MJCF, as `armature`.
         joints: Joints, or none for all.
 
     Raises:
         ParameterError: A name is none of the model.
     """
+    problems = []
+    for replayer, setup in pairs:
+        piece_s = min(THRESHOLDS.value_s, 0.25 * replayer.longest_s())
+        count = THRESHOLDS.value_count
+        problems.append(Problem(replayer, setup, piece_s=piece_s, count=count))
     terms = _terms(problems[0], names, joints)
     unknown: list[str] = []
     while True:
@@ -117,22 +123,32 @@ def fit_constants(
             training=np.zeros(0),
             slopes=np.zeros(0),
         )
-        fit = _minimize(problems, fit)
-        width = np.asarray(fit.half_width)
-        if (width < MAX_WIDTH).all():
+        fit = fit_values(fit, problems)
+        lost = _undetermined(fit)
+        if not lost:
             return Constants(fit, _values(fit), unknown)
-        kept = []
-        for (cause, group), widths in fit.split(width):
-            known = widths < MAX_WIDTH
-            for column in group.selection.T[~known]:
-                parameter = cause.parameters[int(np.argmax(column))]
-                unknown.append(f"{cause.name} of {parameter}")
-            if known.any():
-                columns = group.selection[:, known]
-                kept.append((cause, ParameterGroup(group.label, columns)))
-        if not kept:
+        unknown += [f"{cause} of {parameter}" for parameter, cause in lost.items()]
+        terms = []
+        for cause, group in fit.terms:
+            rows = np.argmax(group.selection, axis=0)
+            kept = [lost.get(cause.parameters[row]) != cause.name for row in rows]
+            if any(kept):
+                selection = group.selection[:, kept]
+                terms.append((cause, ParameterGroup(group.label, selection)))
+        if not terms:
             return Constants(problems[0].before, (), unknown)
-        terms = kept
+
+
+def _undetermined(fit: Fit) -> dict[str, str]:
+    """Return the cause whose interval is too wide, by parameter; the one with the widest interval."""
+    widest: dict[str, tuple[float, str]] = {}
+    for cause, group, fitted, _low, high in fit.intervals():
+        width = (high - fitted) / np.maximum(np.abs(fitted), cause.scale)
+        for row in np.argmax(group.selection, axis=0).tolist():
+            parameter, found = cause.parameters[row], (width[row], cause.name)
+            if width[row] > MAX_WIDTH:
+                widest[parameter] = max(widest.get(parameter, found), found)
+    return {parameter: cause for parameter, (_width, cause) in widest.items()}
 
 
 def _terms(
@@ -173,37 +189,6 @@ def _start(cause: Cause, group: ParameterGroup) -> FloatArray:
     return np.clip(group.selection.T @ numbers, lower, cause.far)
 
 
-def _minimize(problems: Sequence[Problem], fit: Fit) -> Fit:
-    """Return the least squares over all pieces of all logs, with intervals."""
-
-    def residuals(numbers: FloatArray) -> FloatArray:
-        rows = [
-            problem.residuals(fit, numbers, half)
-            for problem in problems
-            for half in (0, 1)
-        ]
-        return np.concatenate(rows).ravel()
-
-    def slopes(numbers: FloatArray) -> FloatArray:
-        return approx_fprime(numbers, residuals, THRESHOLDS.slope_step)
-
-    found = least_squares(
-        residuals,
-        fit.numbers,
-        slopes,
-        bounds=(np.minimum(fit.lower, fit.numbers), fit.upper),
-        ftol=THRESHOLDS.min_gain,
-        max_nfev=THRESHOLDS.max_predictions,
-    )
-    freedom = len(found.fun) - len(found.x)
-    # Residuals of a model that is not perfect are correlated in a piece: each piece counts once.
-    pieces = sum(len(problem.pieces) for problem in problems)
-    variance = 2.0 * found.cost / freedom * len(found.fun) / pieces
-    spread = np.sqrt(np.diag(np.linalg.pinv(found.jac.T @ found.jac)))
-    half = student.ppf(0.975, pieces) * spread * np.sqrt(max(variance, 1.0))
-    return replace(fit, numbers=found.x, half_width=half)
-
-
 def _values(fit: Fit) -> list[Value]:
     """Return the fitted values, whose names contain the cause."""
     return [
@@ -211,6 +196,26 @@ def _values(fit: Fit) -> list[Value]:
         for interval in fit.intervals()
         for value in fitted_values(interval)
     ]
+
+
+def parameter_dict(values: Sequence[Value]) -> bytes:
+    """Return constants as a file that `ParameterDict.load_from_disk` of `mujoco.sysid` reads, bounded by intervals."""
+    lines = []
+    for value in values:
+        nominal = value.fitted if value.present is None else value.present
+        # A nominal value outside of the interval widens the bounds.
+        ends = [end for end in (value.low, value.high, nominal) if end is not None]
+        numbers = {
+            "nominal": nominal,
+            "min_value": min(ends),
+            "max_value": max(ends),
+            "value": value.fitted,
+        }
+        # YAML 1.1 reads an exponent only after a point.
+        fields = ", ".join(f"{key}: [{x:.9e}]" for key, x in numbers.items())
+        name = f'"{value.parameter}"'
+        lines.append(f"{name}: {{name: {name}, {fields}, frozen: false}}\n")
+    return "".join(lines).encode()
 
 
 def constants_document(line: ConstantsLine) -> Document:

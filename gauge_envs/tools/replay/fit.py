@@ -1,23 +1,18 @@
-"""Fits of the causes: share of the error that each explains on pieces of the log that the fit has not seen."""
+"""Fits of causes: numbers, residuals on pieces of the log that they have seen and have not, and intervals."""
 
 from __future__ import annotations
 
-import copy
-from collections import defaultdict
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import product
 from typing import NamedTuple
 
-import mujoco
 import numpy as np
-from scipy.optimize import approx_fprime, least_squares, lsq_linear
-from scipy.stats import t as student, wilcoxon
+from scipy.optimize import OptimizeResult, approx_fprime, least_squares, lsq_linear
+from scipy.stats import t as student
 
-from gauge_envs.tools.replay.causes import Cause, ParameterGroup, groups_of_one
+from gauge_envs.tools.replay.causes import Cause, ParameterGroup
 from gauge_envs.tools.replay.log import FloatArray
 from gauge_envs.tools.replay.model import IntArray, Replayer, Setup
-from gauge_envs.tools.replay.schema import ReplayVerdict
 
 NO_NUMBERS = np.zeros(0)
 
@@ -32,6 +27,8 @@ class Thresholds:
     Attributes:
         piece_s: Length of the predictions that are fitted first [s].
         piece_count: Number of these pieces; every other one is held out.
+        value_s, value_count: Length and number of the pieces that give the values of the fit that is named, or of
+            constants.
         long_count: Number of the long pieces by which the best fits are judged.
         max_long_s: Length of the longest of them.
         max_noise_error: Error below which nothing is left to explain.
@@ -62,6 +59,8 @@ class Thresholds:
 
     piece_s: float = 0.25
     piece_count: int = 28
+    value_s: float = 1.0
+    value_count: int = 20
     long_count: int = 4
     max_long_s: float = 3.0
     max_noise_error: float = 1.3
@@ -90,9 +89,6 @@ class Thresholds:
 
 
 THRESHOLDS = Thresholds()
-
-LOSSES = ("armature", "dry friction", "damping")
-"""What every drive has, and a published model often lacks."""
 
 
 class Interval(NamedTuple):
@@ -170,6 +166,20 @@ class Fit:
         parts = np.split(numbers, np.cumsum(sizes)[:-1])
         return zip(self.terms, parts, strict=False)
 
+    def change(self, setup: Setup) -> Setup:
+        """Return a setup with the values of the fit."""
+        for (cause, group), numbers in self.split(self.numbers):
+            setup = cause.change(setup, cause.values(group, numbers))
+        return setup
+
+    def shown_setup(self, setup: Setup) -> Setup:
+        """Return a setup with the values that are printed: four digits, and the present one inside an interval."""
+        for cause, _group, fitted, low, high in self.intervals():
+            rounded = np.array([float(f"{value:.4g}") for value in fitted])
+            is_equal = (low <= cause.present) & (high >= cause.present)
+            setup = cause.change(setup, np.where(is_equal, cause.present, rounded))
+        return setup
+
     def intervals(self) -> Iterator[Interval]:
         """Yield the values of each cause, with their 95 % intervals."""
         half = np.nan * self.numbers if self.half_width is None else self.half_width
@@ -221,7 +231,7 @@ class Problem:
         floor: float = 1.0,
     ) -> None:
         self.replayer, self.setup, self.floor = replayer, setup, floor
-        self.weight = 1.0
+        self.weight, self.piece_s = 1.0, piece_s
         self.pieces = replayer.pieces(piece_s, count)
         self._halves = self.pieces[::2], self.pieces[1::2]
         covariances = [
@@ -239,7 +249,7 @@ class Problem:
         A cause may change how the noise propagates: feet that slip keep a velocity, and feet that stick lose it. The
         problem itself is returned if the fit predicts no pieces, or if their noise hides the error of the model.
         """
-        noisy, count = self.setup_of(fit), THRESHOLDS.long_count
+        noisy, count = fit.change(self.setup), THRESHOLDS.long_count
         length_s = min(self.replayer.longest_s() / count, THRESHOLDS.max_long_s)
         while length_s > THRESHOLDS.piece_s and self.floor == 1.0:
             problem = Problem(
@@ -255,6 +265,17 @@ class Problem:
             length_s *= 0.5
         return self
 
+    def for_values(self, fit: Fit) -> Problem:
+        """Return the problem whose pieces give the values of a fit; no longer than those that judge it."""
+        return Problem(
+            self.replayer,
+            self.setup,
+            noisy=fit.change(self.setup),
+            piece_s=min(self.piece_s, THRESHOLDS.value_s),
+            count=THRESHOLDS.value_count,
+            floor=self.floor,
+        )
+
     def judged(self, fits: Sequence[Fit], names: Sequence[str]) -> list[Fit]:
         """Return fits of other pieces with the residuals of these, the best first.
 
@@ -266,8 +287,7 @@ class Problem:
             is_rival = index == 0 or " and ".join(fit.names) in names
             is_far = judged.error > self.floor * (1.0 + THRESHOLDS.near_noise)
             if is_rival and is_far and len(fit.numbers):
-                start = replace(judged, step=0.0 * fit.numbers)
-                again = self.minimize(start, measure=True)
+                again = self.minimize(judged, measure=True)
                 judged = min(judged, again, key=self.cost)
             found.append(judged)
         return sorted(found, key=self.cost)
@@ -289,28 +309,9 @@ class Problem:
         is_odd = errors > THRESHOLDS.odd_error * max(np.median(errors), self.floor)
         return pieces[is_odd & (is_odd.mean() < THRESHOLDS.max_odd)]
 
-    def setup_of(self, fit: Fit) -> Setup:
-        """Return the setup of a fit."""
-        setup = self.setup
-        for (cause, group), numbers in fit.split(fit.numbers):
-            setup = cause.change(setup, group, numbers)
-        return setup
-
-    def shown_setup(self, fit: Fit) -> Setup:
-        """Return the setup with the values that are printed: four digits, and the present one inside an interval."""
-        setup = self.setup
-        for cause, _group, fitted, low, high in fit.intervals():
-            rounded = np.array([float(f"{value:.4g}") for value in fitted])
-            is_equal = (low <= cause.present) & (high >= cause.present)
-            after = copy.deepcopy(setup)
-            cause.apply(after, np.where(is_equal, cause.present, rounded))
-            mujoco.mj_setConst(after.model, mujoco.MjData(after.model))
-            setup = after
-        return setup
-
     def residuals(self, fit: Fit, numbers: FloatArray, half: int) -> FloatArray:
         """Return the whitened residuals of the training or the held-out pieces for numbers, shape [P, T D]."""
-        setup = self.setup_of(replace(fit, numbers=numbers))
+        setup = replace(fit, numbers=numbers).change(self.setup)
         deviation = self.replayer.predict(setup, self._halves[half])
         columns = deviation.reshape(len(deviation), -1, 1)
         return (self.whiteners[half] @ columns)[..., 0]
@@ -327,28 +328,8 @@ class Problem:
             fit: Where it begins.
             measure: Whether the slopes are measured by finite differences at each step; else those of the fit are used.
         """
-
-        def residuals(numbers: FloatArray) -> FloatArray:
-            return self.residuals(fit, numbers, 0).ravel()
-
-        def slopes(numbers: FloatArray) -> FloatArray:
-            if not measure:
-                return fit.slopes.reshape(-1, len(numbers))
-            return approx_fprime(numbers, residuals, THRESHOLDS.slope_step)
-
-        # A present value may be below the smallest one that is fitted, as no friction.
-        lower = np.minimum(fit.lower, fit.numbers)
-        found = least_squares(
-            residuals,
-            fit.numbers,
-            slopes,
-            bounds=(lower, np.maximum(fit.upper, fit.numbers + 1e-9)),
-            method="dogbox",
-            x_scale=np.maximum(np.abs(fit.step), 1.0) if measure else 1.0,
-            ftol=THRESHOLDS.min_gain,
-            xtol=THRESHOLDS.min_step,
-            max_nfev=THRESHOLDS.max_predictions,
-        )
+        slopes = None if measure else fit.slopes.reshape(-1, len(fit.numbers))
+        found = least_residuals(fit, [(self, 0)], slopes)
         training = found.fun.reshape(len(self._halves[0]), -1)
         return replace(
             fit,
@@ -358,13 +339,6 @@ class Problem:
             reach=np.full(len(found.x), np.inf),
             held_out=self.residuals(fit, found.x, 1),
         )
-
-    def polish(self, fit: Fit) -> Fit:
-        """Return a fit after least squares with measured slopes, with intervals."""
-        if not len(fit.numbers):
-            return self.predict(fit)
-        fit = self.minimize(replace(fit, step=0.0 * fit.numbers), measure=True)
-        return replace(fit, half_width=_half_width(fit.slopes, fit.training))
 
     def excess(self, fit: Fit) -> float:
         """Return the error beyond that of a perfect model, over it.
@@ -382,260 +356,56 @@ class Problem:
         return fit.error * (1.0 + THRESHOLDS.number_cost * len(fit.numbers))
 
 
-def try_cause(problem: Problem, cause: Cause, base: Fit) -> list[Fit]:
-    """Return fits of a base and each group of a further cause, one for each start, with their residuals.
+def least_residuals(
+    fit: Fit,
+    halves: Sequence[tuple[Problem, int]],
+    slopes: FloatArray | None = None,
+) -> OptimizeResult:
+    """Return the least squares of the residuals of halves of problems, from the numbers of a fit on.
 
-    A cause without starts begins at the present values. The changes of single values are added, as for linear
-    residuals.
+    The slopes are measured by finite differences at each step, or given, shape [R, p].
     """
 
-    def change(group: ParameterGroup, numbers: FloatArray) -> FloatArray:
-        moved = replace(base, terms=(*base.terms, (cause, group)))
-        numbers = np.append(base.numbers, numbers)
-        return problem.residuals(moved, numbers, 0) - base.training
+    def residuals(numbers: FloatArray) -> FloatArray:
+        rows = [problem.residuals(fit, numbers, half) for problem, half in halves]
+        return np.concatenate([row.ravel() for row in rows])
 
-    def fit(
-        group: ParameterGroup, start: float, moved: FloatArray, slopes: FloatArray
-    ) -> Fit:
-        numbers = np.full(group.selection.shape[1], start)
-        return Fit(
-            terms=(*base.terms, (cause, group)),
-            numbers=np.append(base.numbers, numbers),
-            training=base.training + moved,
-            slopes=np.concatenate([base.slopes, slopes], axis=-1),
-            reach=np.append(base.reach, numbers * 0.0 + reach[row]),
-        )
+    def measured(numbers: FloatArray) -> FloatArray:
+        return approx_fprime(numbers, residuals, THRESHOLDS.slope_step)
 
-    if not cause.parameters:
-        (group,) = cause.groups
-        row, reach = 0, np.zeros(1)
-        return [fit(group, 0.0, change(group, NO_NUMBERS), base.slopes[..., :0])]
-    grid = np.sort(cause.starts or (0.0, THRESHOLDS.slope_step))
-    singles = groups_of_one(len(cause.parameters))
-    moved = np.zeros((len(grid), *base.training.shape, len(singles)))
-    for row in np.flatnonzero(grid).tolist():
-        for column, group in enumerate(singles):
-            moved[row, ..., column] = change(group, grid[[row]])
-    slopes, reach = np.gradient(moved, grid, axis=0), np.gradient(grid)
-    if not cause.starts:
-        grid, reach = np.zeros(1), np.full(1, np.inf)
-    fits = []
-    for row, group in product(range(len(grid)), cause.groups):
-        total = moved[row] @ group.selection.sum(axis=1)
-        fits.append(fit(group, grid[row], total, slopes[row] @ group.selection))
-    return fits
+    # A present value may be below the smallest one that is fitted, as no friction.
+    lower = np.minimum(fit.lower, fit.numbers)
+    return least_squares(
+        residuals,
+        fit.numbers,
+        measured if slopes is None else lambda _: slopes,
+        bounds=(lower, np.maximum(fit.upper, fit.numbers + 1e-9)),
+        ftol=THRESHOLDS.min_gain,
+        xtol=THRESHOLDS.min_step,
+        max_nfev=THRESHOLDS.max_predictions,
+    )
 
 
-def _half_width(slopes: FloatArray, residuals: FloatArray) -> FloatArray:
-    """Return half of the 95 % interval of each number, shape [p].
+def fit_values(fit: Fit, problems: Sequence[Problem]) -> Fit:
+    """Return a fit with the numbers that all pieces of problems give together, and their 95 % intervals.
 
-    The sandwich A^-1 B A^-1 sums the gradients by pieces, so that correlated residuals and the spread over the pieces
-    both widen it.
-
-    Args:
-        slopes: Change of the residuals per number, shape [P, T D, p].
-        residuals: Training residuals, shape [P, T D].
+    The residuals remain those of the training and the held-out pieces. The sandwich A^-1 B A^-1 sums the gradients by
+    pieces, so that correlated residuals and the spread over the pieces both widen an interval.
     """
-    inverse = np.linalg.pinv(np.einsum("pri,prj->ij", slopes, slopes))
-    gradients = np.einsum("pri,pr->pi", slopes, residuals)
+    if not len(fit.numbers):
+        return fit
+    halves = [(problem, half) for problem in problems for half in (0, 1)]
+    found = least_residuals(fit, halves)
+    # Numbers of pieces, and of residuals of each.
+    shapes = [problem.whiteners[half].shape[:2] for problem, half in halves]
+    sizes = np.concatenate([np.full(*shape) for shape in shapes])
+    first = np.cumsum(sizes) - sizes
+    gradients = np.add.reduceat(found.jac * found.fun[:, None], first)
+    inverse = np.linalg.pinv(found.jac.T @ found.jac)
     pieces, count = gradients.shape
     freedom = max(pieces - count, 1)
     spread = inverse @ gradients.T @ gradients @ inverse * pieces / freedom
     # The noise alone gives the narrowest interval.
     variance = np.maximum(np.diag(spread), np.abs(np.diag(inverse)))
-    return student.ppf(0.975, freedom) * np.sqrt(variance)
-
-
-def best_fits(
-    problem: Problem,
-    base: Fit,
-    causes: Sequence[Cause],
-    advance: Callable[[str], None] = lambda _: None,
-) -> list[Fit]:
-    """Return the best fit of each further cause on top of a base, the best first.
-
-    A few fits are refined, and after one that reaches the noise only those that come near to it.
-    """
-    promising: list[Fit] = []
-    for cause in causes:
-        advance(cause.name)
-        if cause.name not in base.names:
-            promising += [fit.linearize() for fit in try_cause(problem, cause, base)]
-    limit = np.inf
-    fits: list[Fit] = []
-    few = _few_by_cause(problem, promising, THRESHOLDS.max_groups)
-    for fit in few[: THRESHOLDS.max_refined]:
-        fit = replace(fit, numbers=fit.numbers + fit.step)
-        if fit.linear_error < limit and len(fit.numbers):
-            fits.append(problem.minimize(fit, measure=False))
-        else:
-            fits.append(problem.predict(fit))
-        if problem.excess(fits[-1]) < THRESHOLDS.near_noise:
-            limit = min(limit, THRESHOLDS.max_worse * fit.linear_error)
-    fits.sort(key=problem.cost)
-    for index, fit in enumerate(fits[: THRESHOLDS.max_polished]):
-        fits[index] = problem.polish(fit)
-    return sorted(fits, key=problem.cost)
-
-
-def _few_by_cause(problem: Problem, fits: Sequence[Fit], count: int) -> list[Fit]:
-    """Return at most `count` fits of each set of causes, one a group, sorted by cost."""
-    few: list[Fit] = []
-    labels_by_causes: dict[frozenset[str], set[tuple[str, ...]]] = defaultdict(set)
-    for fit in sorted(fits, key=problem.cost):
-        chosen = labels_by_causes[frozenset(fit.names)]
-        labels = tuple(group.label for _, group in fit.terms)
-        if len(chosen) < count and labels not in chosen:
-            chosen.add(labels)
-            few.append(fit)
-    return few
-
-
-@dataclass(frozen=True)
-class Explanation:
-    """What explains a log.
-
-    Attributes:
-        problem: The log, in pieces as long as the best fit predicts them.
-        verdict: What explains the difference.
-        fits: Best fit of each cause, the best first; none if the model predicts the log within its noise.
-        indistinguishable: Names of the causes that the log cannot tell from the first.
-        several: Causes that are fitted together; None where one is enough.
-    """
-
-    problem: Problem
-    verdict: ReplayVerdict = ReplayVerdict.NOISE
-    fits: Sequence[Fit] = ()
-    indistinguishable: Sequence[str] = ()
-    several: Fit | None = None
-
-    @property
-    def change(self) -> Fit | None:
-        """The fit that the verdict is about: one cause, or else several if there are."""
-        if self.several is None or self.verdict is ReplayVerdict.CAUSE:
-            return next(iter(self.fits), None)
-        return self.several
-
-
-def _find_indistinguishable(problem: Problem, fits: Sequence[Fit]) -> list[str]:
-    """Return the causes that the held-out pieces cannot tell from the first one (signed ranks, 5 %)."""
-    best, *others = fits
-    small = 1e-3 * (problem.before.error - problem.floor)
-    names = []
-    for fit in others:
-        gap = np.mean(fit.held_out**2 - best.held_out**2, axis=1)
-        if problem.share(fit) <= 0.5 * problem.share(best):
-            continue
-        is_equal = np.abs(gap).max() < small
-        if is_equal or wilcoxon(gap, alternative="greater").pvalue > 0.05:
-            names.append(" and ".join(fit.names))
-    return names
-
-
-def _fit_pairs(
-    problem: Problem, bases: Sequence[Fit], causes: Sequence[Cause]
-) -> list[Fit]:
-    """Return fits of two causes: the best single ones with any other, then the last one of the best pair with any."""
-    pairs: list[Fit] = []
-    for base in bases[: THRESHOLDS.max_bases]:
-        pairs += best_fits(problem, base, causes)
-        if min(map(problem.excess, pairs)) < THRESHOLDS.near_noise:
-            return pairs
-    best = min(pairs, key=problem.cost)
-    *_, count = (group.selection.shape[1] for _, group in best.terms)
-    first = len(best.numbers) - count
-    second = replace(
-        best,
-        terms=best.terms[1:],
-        numbers=best.numbers[first:],
-        slopes=best.slopes[..., first:],
-        reach=best.reach[first:],
-    )
-    return pairs + best_fits(problem, problem.predict(second), causes)
-
-
-def _prefer_losses(problem: Problem, fits: Sequence[Fit]) -> Fit:
-    """Return the best fit, or the best one of losses and armature if none reaches the noise and it is about as good."""
-    best = fits[0]
-    if problem.excess(best) < THRESHOLDS.max_excess_of_several:
-        return best
-    for fit in fits:
-        near = problem.excess(fit) < THRESHOLDS.about_as_good * problem.excess(best)
-        if near and {*fit.names} <= {*LOSSES}:
-            return fit
-    return best
-
-
-def _verdict(
-    problem: Problem, fits: Sequence[Fit], several: Fit | None
-) -> ReplayVerdict:
-    """Return what explains the difference.
-
-    Several causes are named if they explain it far better than one; one cause if it explains it to the noise, or far
-    better than any other one. Losses and armature, which every drive has, are named in part too.
-    """
-    best, *others = fits
-    excess = problem.excess(best)
-    change = several or best
-    is_drive = {*change.names} <= {*LOSSES}
-    limit = THRESHOLDS.max_excess if is_drive else THRESHOLDS.max_excess_of_several
-    limit = min(limit, THRESHOLDS.max_ratio_of_several * excess)
-    explains = several is not None and problem.share(several) > THRESHOLDS.min_share
-    if several and explains and problem.excess(several) < limit:
-        return ReplayVerdict.SEVERAL
-    leads = all(problem.excess(fit) > THRESHOLDS.min_lead * excess for fit in others)
-    if several and is_drive:
-        ratio = problem.excess(several) / excess
-        leads = leads and ratio > THRESHOLDS.max_ratio_of_several
-    if problem.share(best) > THRESHOLDS.min_share and (
-        leads or excess < THRESHOLDS.max_excess
-    ):
-        return ReplayVerdict.CAUSE
-    if is_drive and problem.share(change) > THRESHOLDS.min_part:
-        return ReplayVerdict.PART
-    return ReplayVerdict.NOTHING
-
-
-def _predicts(problem: Problem) -> bool:
-    """Return whether the model predicts the log within its noise, and better than constant velocity and no motion."""
-    if problem.before.error >= THRESHOLDS.max_noise_error * problem.floor:
-        return False
-    misfit = problem.replayer.misfit(problem.setup, problem.pieces)
-    return bool(misfit.max() < THRESHOLDS.max_misfit)
-
-
-def explain(
-    problem: Problem, causes: Sequence[Cause], advance: Callable[[str], None]
-) -> Explanation:
-    """Return what explains the deviation of a log from the model: each cause alone, then several."""
-    if _predicts(problem):
-        return Explanation(problem)
-    fits = best_fits(problem, problem.before, causes, advance)
-    replayer, odd = problem.replayer, problem.odd_pieces(fits[0])
-    if len(odd) and not len(replayer.left_out):
-        replayer.leave_out(odd)
-        clean = Problem(replayer, problem.setup, floor=problem.floor)
-        return explain(clean, causes, advance)
-    alone = _few_by_cause(problem, fits, 1)
-    names = _find_indistinguishable(problem, alone)
-    bases = alone
-    judge = problem.lengthened(alone[0])
-    alone = judge.judged(alone, names)
-    names = judge.still_equal(alone, names)
-    limit = THRESHOLDS.near_noise
-    if judge.share(alone[0]) > THRESHOLDS.enough_share and judge is problem:
-        limit = THRESHOLDS.max_excess_of_several
-    several: Fit | None = None
-    if judge.excess(alone[0]) > limit:
-        advance("several together")
-        together = _fit_pairs(problem, bases, causes)
-        together = _few_by_cause(problem, together, 1)
-        pairs = _find_indistinguishable(problem, together)
-        judge = problem.lengthened(together[0])
-        together = judge.judged(together, pairs)
-        alone = judge.judged(alone, ())
-        several = _prefer_losses(judge, together)
-    verdict = _verdict(judge, alone, several)
-    if verdict is ReplayVerdict.SEVERAL:
-        names = judge.still_equal(together, pairs)
-    return Explanation(judge, verdict, alone, names, several)
+    half_width = student.ppf(0.975, freedom) * np.sqrt(variance)
+    return replace(fit, numbers=found.x, half_width=half_width)

@@ -107,6 +107,10 @@ def load_model(file: Path) -> mujoco.MjModel:
     with reading(file, FileError, "a model that MuJoCo can load"):
         spec = mujoco.MjSpec.from_file(str(file))
         spec.compiler.discardvisual = True
+        for body in spec.bodies:
+            # A cause may move the centre of a link, which a simple body forbids; MuJoCo 3 has no such switch.
+            if hasattr(body, "simple"):
+                body.simple = 0
         return spec.compile()
 
 

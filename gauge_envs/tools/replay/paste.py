@@ -68,10 +68,11 @@ class Change:
         for tag, values in self._elements():
             if tag == "option":
                 part = spec.option
-            elif tag in ("joint", "body"):
-                part = getattr(spec, tag)(values["name"])
+            elif tag == "joint":
+                part = spec.joint(values["name"])
             else:
-                part = spec.actuators[values["id"]]
+                parts = spec.bodies if tag == "body" else spec.actuators
+                part = parts[values["id"]]
             for name, value in values.items():
                 _set_attribute(part, name, value)
         spec.compile()
@@ -129,7 +130,7 @@ class Change:
                 attribute: getattr(model, field)[index]
                 for attribute, field in BODY_FIELDS.items()
             }
-            yield "body", {"name": name, **numbers}
+            yield "body", {"id": index, "name": name, **numbers}
 
     def _options(self) -> Iterator[tuple[str, dict[str, Any]]]:
         old, new = self.before.model.opt, self.after.model.opt
@@ -197,8 +198,8 @@ def _element(tag: str, attributes: Mapping[str, Any]) -> str:
     }
     if tag != "body":
         return f"<{tag} {' '.join(texts.values())}/>"
-    body = texts.pop("name")
-    return f"<body {body}><inertial {' '.join(texts.values())}/></body>"
+    body = f"body {texts.pop('name', '')}".rstrip()
+    return f"<{body}><inertial {' '.join(texts.values())}/></body>"
 
 
 def _set_attribute(part: Any, name: str, value: Any) -> None:

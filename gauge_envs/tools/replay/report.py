@@ -15,14 +15,7 @@ from gauge_envs.pages.document import Document, Paragraph, Part, Tone
 from gauge_envs.pages.table import Column, Table
 from gauge_envs.tools.replay.causes import Cause, candidates
 from gauge_envs.tools.replay.conventions import find_conventions, fixed_base
-from gauge_envs.tools.replay.fit import (
-    THRESHOLDS,
-    Explanation,
-    Fit,
-    Interval,
-    Problem,
-    explain,
-)
+from gauge_envs.tools.replay.fit import THRESHOLDS, Fit, Interval, Problem
 from gauge_envs.tools.replay.log import FloatArray, Log, LogMap, read_log
 from gauge_envs.tools.replay.model import (
     UNLIMITED,
@@ -45,6 +38,7 @@ from gauge_envs.tools.replay.schema import (
     Trial,
     Value,
 )
+from gauge_envs.tools.replay.search import Explanation, explain
 
 HORIZONS_S = {0.0: 400, 0.1: 300, 0.5: 120}
 """Lengths of the predictions of the table, and their number; the first is one interval of the log."""
@@ -119,7 +113,7 @@ def replay(
             problem.floor = max(1.0, problems[0].before.error)
         causes = candidates(problem.replayer, problem.setup)
         explanation = explain(problem, causes, advance)
-        setup = problem.setup_of(explanation.change or problem.before)
+        setup = (explanation.change or problem.before).change(problem.setup)
         misfit = problem.replayer.misfit(setup, problem.pieces)
         return logs, explanation, misfit.sum()
 
@@ -145,7 +139,7 @@ def replay(
     named = explanation.change if line.named else None
     change = Change(
         before=problem.setup,
-        after=problem.shown_setup(named) if named else problem.setup,
+        after=named.shown_setup(problem.setup) if named else problem.setup,
         replayer=problem.replayer,
         in_degrees=uses_degrees(model),
         given=given,
@@ -208,7 +202,7 @@ def _try_change(problem: Problem, change: Fit) -> Trial:
     """Return the error of predictions before and after a change, of the joint that is worst before."""
     replayer = problem.replayer
     pieces = replayer.pieces(TRIAL_S, 2 * THRESHOLDS.piece_count, outputs=1)[1::2]
-    setups = problem.setup, problem.setup_of(change)
+    setups = problem.setup, change.change(problem.setup)
     before, after = (
         _rms(replayer.predict(each, pieces)[:, 0, replayer.is_joint]) for each in setups
     )

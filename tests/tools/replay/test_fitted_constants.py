@@ -4,12 +4,14 @@ import json
 
 import numpy as np
 import pytest
+import yaml
 from planted_arm import ARM, SERVO, record
 
 from gauge_envs.errors import ParameterError
-from gauge_envs.tools.replay.constants import fit_logs
+from gauge_envs.tools.replay.constants import fit_logs, parameter_dict
 from gauge_envs.tools.replay.judge import judge_models
 from gauge_envs.tools.replay.log import LogMap
+from gauge_envs.tools.replay.schema import Value
 
 
 def set_servo(model):
@@ -50,6 +52,29 @@ def test_fitted_constants_predict_another_log(gauge, servo, tmp_path):
     files = ("--model", model, "--model", fitted, "--map", delayed)
     text = gauge("replay", other, *files).stdout
     assert "fitted.xml predicts best over" in text
+
+
+def test_constants_are_a_parameter_dict_of_mujoco(tmp_path):
+    values = [
+        Value("armature of knee", 0.0, 2e-5, 1e-5, 3e-5, changes=True),
+        Value("effort limit of knee", None, 4.0, 3.0, 5.0, changes=True),
+    ]
+    file = tmp_path / "constants.yaml"
+    file.write_bytes(parameter_dict(values))
+    states = yaml.safe_load(file.read_text())
+    assert states["armature of knee"] == {
+        "name": "armature of knee",
+        "nominal": [0.0],
+        "min_value": [0.0],
+        "max_value": [3e-5],
+        "value": [2e-5],
+        "frozen": False,
+    }
+    assert states["effort limit of knee"]["nominal"] == [4.0]
+    pytest.importorskip("colorama")
+    sysid = pytest.importorskip("mujoco.sysid._src.parameter")
+    read = sysid.ParameterDict.load_from_disk(file)
+    assert read.as_vector() == pytest.approx([2e-5, 4.0])
 
 
 def test_a_model_is_not_better_than_itself(servo):

@@ -1,0 +1,269 @@
+"""Search for the causes that explain a log: each alone, then pairs, judged on pieces that no fit has seen."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+
+import numpy as np
+from scipy.stats import wilcoxon
+
+from gauge_envs.tools.replay.causes import Cause, ParameterGroup, groups_of_one
+from gauge_envs.tools.replay.fit import (
+    NO_NUMBERS,
+    THRESHOLDS,
+    Fit,
+    Problem,
+    fit_values,
+)
+from gauge_envs.tools.replay.log import FloatArray
+from gauge_envs.tools.replay.schema import ReplayVerdict
+
+LOSSES = ("armature", "dry friction", "damping")
+"""What every drive has, and a published model often lacks."""
+
+
+def try_cause(problem: Problem, cause: Cause, base: Fit) -> list[Fit]:
+    """Return fits of a base and each group of a further cause, one for each start, with their residuals.
+
+    A cause without starts begins at the present values. The changes of single values are added, as for linear
+    residuals.
+    """
+
+    def change(group: ParameterGroup, numbers: FloatArray) -> FloatArray:
+        moved = replace(base, terms=(*base.terms, (cause, group)))
+        numbers = np.append(base.numbers, numbers)
+        return problem.residuals(moved, numbers, 0) - base.training
+
+    def fit(
+        group: ParameterGroup, start: float, moved: FloatArray, slopes: FloatArray
+    ) -> Fit:
+        numbers = np.full(group.selection.shape[1], start)
+        return Fit(
+            terms=(*base.terms, (cause, group)),
+            numbers=np.append(base.numbers, numbers),
+            training=base.training + moved,
+            slopes=np.concatenate([base.slopes, slopes], axis=-1),
+            reach=np.append(base.reach, numbers * 0.0 + reach[row]),
+        )
+
+    if not cause.parameters:
+        (group,) = cause.groups
+        row, reach = 0, np.zeros(1)
+        return [fit(group, 0.0, change(group, NO_NUMBERS), base.slopes[..., :0])]
+    grid = np.sort(cause.starts or (0.0, THRESHOLDS.slope_step))
+    singles = groups_of_one(len(cause.parameters))
+    moved = np.zeros((len(grid), *base.training.shape, len(singles)))
+    for row in np.flatnonzero(grid).tolist():
+        for column, group in enumerate(singles):
+            moved[row, ..., column] = change(group, grid[[row]])
+    slopes, reach = np.gradient(moved, grid, axis=0), np.gradient(grid)
+    if not cause.starts:
+        grid, reach = np.zeros(1), np.full(1, np.inf)
+    fits = []
+    for row, group in product(range(len(grid)), cause.groups):
+        total = moved[row] @ group.selection.sum(axis=1)
+        fits.append(fit(group, grid[row], total, slopes[row] @ group.selection))
+    return fits
+
+
+def best_fits(
+    problem: Problem,
+    base: Fit,
+    causes: Sequence[Cause],
+    advance: Callable[[str], None] = lambda _: None,
+) -> list[Fit]:
+    """Return the best fit of each further cause on top of a base, the best first.
+
+    A few fits are refined, and after one that reaches the noise only those that come near to it.
+    """
+    promising: list[Fit] = []
+    for cause in causes:
+        advance(cause.name)
+        if cause.name not in base.names:
+            promising += [fit.linearize() for fit in try_cause(problem, cause, base)]
+    limit = np.inf
+    fits: list[Fit] = []
+    few = _few_by_cause(problem, promising, THRESHOLDS.max_groups)
+    for fit in few[: THRESHOLDS.max_refined]:
+        fit = replace(fit, numbers=fit.numbers + fit.step)
+        if fit.linear_error < limit and len(fit.numbers):
+            fits.append(problem.minimize(fit, measure=False))
+        else:
+            fits.append(problem.predict(fit))
+        if problem.excess(fits[-1]) < THRESHOLDS.near_noise:
+            limit = min(limit, THRESHOLDS.max_worse * fit.linear_error)
+    fits.sort(key=problem.cost)
+    for index, fit in enumerate(fits[: THRESHOLDS.max_polished]):
+        if len(fit.numbers):
+            fits[index] = problem.minimize(fit, measure=True)
+    return sorted(fits, key=problem.cost)
+
+
+def _few_by_cause(problem: Problem, fits: Sequence[Fit], count: int) -> list[Fit]:
+    """Return at most `count` fits of each set of causes, one a group, sorted by cost."""
+    few: list[Fit] = []
+    labels_by_causes: dict[frozenset[str], set[tuple[str, ...]]] = defaultdict(set)
+    for fit in sorted(fits, key=problem.cost):
+        chosen = labels_by_causes[frozenset(fit.names)]
+        labels = tuple(group.label for _, group in fit.terms)
+        if len(chosen) < count and labels not in chosen:
+            chosen.add(labels)
+            few.append(fit)
+    return few
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """What explains a log.
+
+    Attributes:
+        problem: The log, in pieces as long as the best fit predicts them.
+        verdict: What explains the difference.
+        fits: Best fit of each cause, the best first; none if the model predicts the log within its noise.
+        indistinguishable: Names of the causes that the log cannot tell from the first.
+        several: Causes that are fitted together; None where one is enough.
+    """
+
+    problem: Problem
+    verdict: ReplayVerdict = ReplayVerdict.NOISE
+    fits: Sequence[Fit] = ()
+    indistinguishable: Sequence[str] = ()
+    several: Fit | None = None
+
+    @property
+    def change(self) -> Fit | None:
+        """The fit that the verdict is about: one cause, or else several if there are."""
+        if self.several is None or self.verdict is ReplayVerdict.CAUSE:
+            return next(iter(self.fits), None)
+        return self.several
+
+
+def _find_indistinguishable(problem: Problem, fits: Sequence[Fit]) -> list[str]:
+    """Return the causes that the held-out pieces cannot tell from the first one (signed ranks, 5 %)."""
+    best, *others = fits
+    small = 1e-3 * (problem.before.error - problem.floor)
+    names = []
+    for fit in others:
+        gap = np.mean(fit.held_out**2 - best.held_out**2, axis=1)
+        if problem.share(fit) <= 0.5 * problem.share(best):
+            continue
+        is_equal = np.abs(gap).max() < small
+        if is_equal or wilcoxon(gap, alternative="greater").pvalue > 0.05:
+            names.append(" and ".join(fit.names))
+    return names
+
+
+def _fit_pairs(
+    problem: Problem, bases: Sequence[Fit], causes: Sequence[Cause]
+) -> list[Fit]:
+    """Return fits of two causes: the best single ones with any other, then the last one of the best pair with any."""
+    pairs: list[Fit] = []
+    for base in bases[: THRESHOLDS.max_bases]:
+        pairs += best_fits(problem, base, causes)
+        if min(map(problem.excess, pairs)) < THRESHOLDS.near_noise:
+            return pairs
+    best = min(pairs, key=problem.cost)
+    *_, count = (group.selection.shape[1] for _, group in best.terms)
+    first = len(best.numbers) - count
+    second = replace(
+        best,
+        terms=best.terms[1:],
+        numbers=best.numbers[first:],
+        slopes=best.slopes[..., first:],
+        reach=best.reach[first:],
+    )
+    return pairs + best_fits(problem, problem.predict(second), causes)
+
+
+def _prefer_losses(problem: Problem, fits: Sequence[Fit]) -> Fit:
+    """Return the best fit, or the best one of losses and armature if none reaches the noise and it is about as good."""
+    best = fits[0]
+    if problem.excess(best) < THRESHOLDS.max_excess_of_several:
+        return best
+    for fit in fits:
+        near = problem.excess(fit) < THRESHOLDS.about_as_good * problem.excess(best)
+        if near and {*fit.names} <= {*LOSSES}:
+            return fit
+    return best
+
+
+def _verdict(
+    problem: Problem, fits: Sequence[Fit], several: Fit | None
+) -> ReplayVerdict:
+    """Return what explains the difference.
+
+    Several causes are named if they explain it far better than one; one cause if it explains it to the noise, or far
+    better than any other one. Losses and armature, which every drive has, are named in part too.
+    """
+    best, *others = fits
+    excess = problem.excess(best)
+    change = several or best
+    is_drive = {*change.names} <= {*LOSSES}
+    limit = THRESHOLDS.max_excess if is_drive else THRESHOLDS.max_excess_of_several
+    limit = min(limit, THRESHOLDS.max_ratio_of_several * excess)
+    explains = several is not None and problem.share(several) > THRESHOLDS.min_share
+    if several and explains and problem.excess(several) < limit:
+        return ReplayVerdict.SEVERAL
+    leads = all(problem.excess(fit) > THRESHOLDS.min_lead * excess for fit in others)
+    if several and is_drive:
+        ratio = problem.excess(several) / excess
+        leads = leads and ratio > THRESHOLDS.max_ratio_of_several
+    if problem.share(best) > THRESHOLDS.min_share and (
+        leads or excess < THRESHOLDS.max_excess
+    ):
+        return ReplayVerdict.CAUSE
+    if is_drive and problem.share(change) > THRESHOLDS.min_part:
+        return ReplayVerdict.PART
+    return ReplayVerdict.NOTHING
+
+
+def _predicts(problem: Problem) -> bool:
+    """Return whether the model predicts the log within its noise, and better than constant velocity and no motion."""
+    if problem.before.error >= THRESHOLDS.max_noise_error * problem.floor:
+        return False
+    misfit = problem.replayer.misfit(problem.setup, problem.pieces)
+    return bool(misfit.max() < THRESHOLDS.max_misfit)
+
+
+def explain(
+    problem: Problem, causes: Sequence[Cause], advance: Callable[[str], None]
+) -> Explanation:
+    """Return what explains the deviation of a log from the model: each cause alone, then several."""
+    if _predicts(problem):
+        return Explanation(problem)
+    fits = best_fits(problem, problem.before, causes, advance)
+    replayer, odd = problem.replayer, problem.odd_pieces(fits[0])
+    if len(odd) and not len(replayer.left_out):
+        replayer.leave_out(odd)
+        clean = Problem(replayer, problem.setup, floor=problem.floor)
+        return explain(clean, causes, advance)
+    alone = _few_by_cause(problem, fits, 1)
+    names = _find_indistinguishable(problem, alone)
+    bases = alone
+    judge = problem.lengthened(alone[0])
+    alone = judge.judged(alone, names)
+    names = judge.still_equal(alone, names)
+    limit = THRESHOLDS.near_noise
+    if judge.share(alone[0]) > THRESHOLDS.enough_share and judge is problem:
+        limit = THRESHOLDS.max_excess_of_several
+    several: Fit | None = None
+    if judge.excess(alone[0]) > limit:
+        advance("several together")
+        together = _fit_pairs(problem, bases, causes)
+        together = _few_by_cause(problem, together, 1)
+        pairs = _find_indistinguishable(problem, together)
+        judge = problem.lengthened(together[0])
+        together = judge.judged(together, pairs)
+        alone = judge.judged(alone, ())
+        several = _prefer_losses(judge, together)
+    verdict = _verdict(judge, alone, several)
+    if verdict is ReplayVerdict.SEVERAL:
+        names = judge.still_equal(together, pairs)
+    if verdict is ReplayVerdict.CAUSE or several is None:
+        alone[0] = fit_values(alone[0], [judge.for_values(alone[0])])
+    else:
+        several = fit_values(several, [judge.for_values(several)])
+    return Explanation(judge, verdict, alone, names, several)
