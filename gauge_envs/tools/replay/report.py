@@ -23,7 +23,7 @@ from gauge_envs.tools.replay.fit import (
     Problem,
     explain,
 )
-from gauge_envs.tools.replay.log import FloatArray, Log, LogMap, read_log
+from gauge_envs.tools.replay.log import FloatArray, Log, LogMap
 from gauge_envs.tools.replay.model import (
     UNLIMITED,
     Replayer,
@@ -36,6 +36,7 @@ from gauge_envs.tools.replay.model import (
 )
 from gauge_envs.tools.replay.observation import check_observation
 from gauge_envs.tools.replay.paste import Change
+from gauge_envs.tools.replay.readers import read_log
 from gauge_envs.tools.replay.schema import (
     Explained,
     ExplanationLine,
