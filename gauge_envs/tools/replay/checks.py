@@ -84,6 +84,7 @@ def _check_numbers(log: Log) -> Iterator[str]:
         if len(log.time_s) < MIN_SAMPLES:
             reason = f"{sum(is_whole)} rows with numbers; a log needs {MIN_SAMPLES}"
             raise FileError(log.name, name, reason)
+    yield from _time_unit(log)
     steps = np.diff(log.time_s)
     if steps.min() <= 0.0 or log.interval_s >= MAX_INTERVAL_S:
         place = f"time {log.time_s[np.argmin(steps)]:g}"
@@ -94,6 +95,16 @@ def _check_numbers(log: Log) -> Iterator[str]:
     if not len(log.command) or (np.diff(log.command_time_s) <= 0.0).any():
         reason = "expected numbers at times that increase"
         raise FileError(log.name, log.command_kind or "time", reason)
+
+
+def _time_unit(log: Log) -> Iterator[str]:
+    """Bring times in ms, us or ns to seconds: the interval of a log is between 0.5 ms and 0.5 s."""
+    for unit, factor in (("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9)):
+        if 5e-4 <= factor * log.interval_s < 0.5 and log.interval_s >= MAX_INTERVAL_S:
+            log.time_s = factor * (log.time_s - log.time_s[0])
+            log.command_time_s = factor * (log.command_time_s - log.command_time_s[0])
+            yield f"times are in {unit}: they are converted"
+            return
 
 
 def _check_samples(log: Log) -> Iterator[str]:
@@ -110,6 +121,9 @@ def _check_samples(log: Log) -> Iterator[str]:
         yield f"rows that repeat the position before while the robot moves are left out: {lost.sum()}"
     bend = np.diff(log.position, n=2, axis=0)
     is_jump = np.abs(bend) > MIN_JUMP + 12.0 * np.median(np.abs(bend), axis=0)
+    # An episode may begin with zeros.
+    is_gap = np.diff(log.time_s) > 3.0 * log.interval_s
+    is_jump[is_gap[1:] | is_gap[:-1]] = False
     is_lost = (log.position[1:-1] == 0.0).all(axis=1) & is_jump.any(axis=1)
     is_spike = (is_jump & _is_out_and_back(log)).any(axis=1) & ~is_lost
     for rows, words in ((is_lost, "lost samples, written as 0,"), (is_spike, "spikes")):

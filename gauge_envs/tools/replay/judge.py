@@ -53,7 +53,7 @@ def load_setups(
     logs: Sequence[Path], model: Path, mapped: LogMap
 ) -> list[tuple[Replayer, Setup]]:
     """Return each log with the setup of a model."""
-    compiled = load_model(model)
+    compiled = load_model(model, mapped.control)
     pairs = []
     for file in logs:
         log = read_log(file, joint_names(compiled), mapped)

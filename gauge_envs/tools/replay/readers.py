@@ -254,9 +254,14 @@ def _topic_columns(
         fields["velocity"] = "velocity"
     yield "time" if quantity == "position" else "command_time", times
     for kind, field in fields.items():
-        table = [[*getattr(each, field if names else "data")] for each in messages]
-        for index, column in enumerate(np.transpose(table)):
-            yield f"{kind}[{names[index] if names else index}]", column
+        table = np.array(
+            [[*getattr(each, field if names else "data")] for each in messages]
+        )
+        if not names:
+            yield kind, table
+            continue
+        for name, column in zip(names, table.T, strict=False):
+            yield f"{kind}[{name}]", column
 
 
 def _read_folder(file: Path, mapped: LogMap) -> Columns:

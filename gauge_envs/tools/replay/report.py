@@ -101,7 +101,7 @@ def replay(
         ParameterError: The log and the model do not go together.
     """
     given = mapped or LogMap()
-    compiled = load_model(model)
+    compiled = load_model(model, given.control)
     names = joint_names(compiled)
 
     def read(changed: LogMap) -> Log:
