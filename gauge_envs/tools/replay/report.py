@@ -34,7 +34,11 @@ from gauge_envs.tools.replay.model import (
     quiet_engine,
     uses_degrees,
 )
-from gauge_envs.tools.replay.observation import check_observation
+from gauge_envs.tools.replay.observation import (
+    check_policy,
+    compare_commands,
+    load_policy,
+)
 from gauge_envs.tools.replay.paste import Change
 from gauge_envs.tools.replay.readers import read_log
 from gauge_envs.tools.replay.schema import (
@@ -86,6 +90,7 @@ def replay(
     against: Path | None = None,
     mapped: LogMap | None = None,
     advance: Callable[[str], None] = lambda _: None,
+    policy: Path | None = None,
 ) -> ReplayResult:
     """Return what explains the difference between a log and a model, or between two logs.
 
@@ -95,6 +100,7 @@ def replay(
         against: The second log, which is explained.
         mapped: Names, signs, units and gains.
         advance: Called with the name of each cause.
+        policy: The policy that drove the robot, in ONNX or TorchScript.
 
     Raises:
         FileError: A file cannot be used.
@@ -135,12 +141,12 @@ def replay(
                 logs, explanation, _ = other
         mistakes += fixed_base(logs[-1], compiled)
         line = _line(logs, model.name, explanation, mistakes)
-    policy = tuple(
-        check_observation(
-            logs[-1], mapped, home_pose(compiled, logs[-1], mapped.control)
-        )
-    )
-    if policy and not mistakes:
+    home = home_pose(compiled, logs[-1], mapped.control)
+    run = load_policy(policy) if policy else None
+    differences = tuple(check_policy(logs[-1], mapped, home, run))
+    if against is not None and not differences:
+        differences = tuple(compare_commands(*logs))
+    if differences and not mistakes:
         line = replace(line, verdict=ReplayVerdict.POLICY)
     problem = explanation.problem
     named = explanation.change if line.named else None
@@ -152,7 +158,7 @@ def replay(
         given=given,
         mapped=mapped,
     )
-    line = replace(line, policy=policy)
+    line = replace(line, policy=differences)
     line = replace(line, sentence=_sentence(line), paste=change.lines())
     return ReplayResult(line, problem, explanation.change)
 
@@ -331,8 +337,7 @@ def _text(cause: Cause, label: str, values: Sequence[Value], step_s: float) -> s
 def _sentence(line: ExplanationLine) -> str:
     """Return the answer: mistakes of the log, what is missing in the model, and what is left."""
     parts = [f"The log is wrong: {text}." for text in line.mistakes]
-    parts += [f"The policy sees {text}." for text in line.policy]
-    return " ".join([*parts, *_physics(line)])
+    return " ".join([*parts, *line.policy, *_physics(line)])
 
 
 def _physics(line: ExplanationLine) -> Iterator[str]:

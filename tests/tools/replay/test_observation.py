@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 from gauge_envs.errors import FileError
 from gauge_envs.tools.replay import ReplayVerdict, read_log, read_map, replay
 from gauge_envs.tools.replay.log import LogMap
-from gauge_envs.tools.replay.observation import check_observation
+from gauge_envs.tools.replay.observation import check_policy
 
 TERMS = ["base_angvel", "projected_gravity", "joint_pos", "joint_vel", "command 2"]
 HOME = np.array([0.2, -0.4])
@@ -90,7 +90,7 @@ def clip(terms, turn, joints):
         (order_of_quaternion, "numbers x y z w of the quaternion"),
         (world, "base_angvel in the world frame"),
         (twice, "base_angvel turned into the body frame twice"),
-        (scale, "joint_vel with the scale 0.1"),
+        (scale, "joint_vel with 2 times its scale"),
         (pose, "joint_pos without minus the default pose"),
         (columns, "joint_pos with columns in the order 1 0"),
         (late, "joint_pos 2 samples late"),
@@ -99,7 +99,7 @@ def clip(terms, turn, joints):
 )
 def test_a_mistake_of_an_observation_is_named(tmp_path, change, words):
     file, mapped = base_log(tmp_path, change)
-    found = list(check_observation(read_log(file, mapped=mapped), mapped, HOME))
+    found = list(check_policy(read_log(file, mapped=mapped), mapped, HOME))
     assert len(found) == bool(words)
     assert words in "".join(found)
 
@@ -112,7 +112,7 @@ def test_terms_that_do_not_fit_are_named(tmp_path):
         (["joint_torque"], "no such term"),
     ):
         with pytest.raises(FileError, match=words):
-            list(check_observation(log, LogMap(observation=terms), HOME))
+            list(check_policy(log, LogMap(observation=terms), HOME))
 
 
 def test_the_policy_is_named_where_the_physics_agrees(tmp_path):
