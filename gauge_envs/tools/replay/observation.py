@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from gauge_envs.errors import FileError
 from gauge_envs.optional import needs_extra
 from gauge_envs.reading import faults_of
-from gauge_envs.tools.replay.log import FloatArray, Log, LogMap, noise_of
+from gauge_envs.tools.replay.log import FloatArray, Log, LogMap
 
 Variants: TypeAlias = list[tuple[str, FloatArray]]
 """The right values of a term, without a text, and the usual wrong ones, shape [N, K]."""
@@ -33,9 +33,9 @@ DOWN = (0.0, 0.0, -1.0)
 DELAYS = (0, 1, 2, 3)
 """Delays that are tried [samples]."""
 SAME = 0.03
-"""Difference of a term and its rebuilt values beyond the noise, over their spread, below which they are one."""
+"""Difference of a term and its rebuilt values, over their spread, below which they are one."""
 MAX_RATIO = 0.4
-"""Difference that a usual mistake leaves, over the one without it."""
+"""Difference that a usual mistake leaves, over the one without it; noise is part of both."""
 UNLIKE = 0.5
 """Difference from which on a term is named without a usual mistake."""
 WORD = 0.02
@@ -280,7 +280,7 @@ def _differs(
     seen: FloatArray,
     variants: Variants,
     delays: Sequence[int] = DELAYS,
-    noise: float | None = None,
+    noise: float = 0.0,
 ) -> Iterator[str]:
     """Yield in what values differ from the right ones, if they do.
 
@@ -288,7 +288,7 @@ def _differs(
         seen: The values, shape [N, K].
         variants: See above.
         delays: Delays that are tried [samples].
-        noise: Squared difference without a mistake; by default that of the noise of both.
+        noise: Squared difference without a mistake.
     """
     tried = []
     skipped, limit = max(delays), np.abs(seen).max()
@@ -323,12 +323,8 @@ def _differs(
         yield f"{100.0 * first:.0f} % off its motion, and no usual mistake explains it"
 
 
-def _gap(seen: FloatArray, rebuilt: FloatArray, noise: float | None) -> float:
+def _gap(seen: FloatArray, rebuilt: FloatArray, noise: float) -> float:
     """Return the root mean square difference beyond the noise, over the motion."""
-    if noise is None:
-        rows = np.arange(float(len(seen)))
-        both = np.concatenate([noise_of(rows, seen), noise_of(rows, rebuilt)])
-        noise = 2.0 * float(np.mean(both**2))
     difference = np.mean((seen - rebuilt) ** 2) - noise
     motion = max(np.var(seen, axis=0).mean(), 1e-12)
     return float(np.sqrt(max(difference, 0.0) / motion))

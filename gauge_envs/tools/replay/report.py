@@ -13,7 +13,7 @@ from scipy.interpolate import make_interp_spline
 
 from gauge_envs.pages.document import Document, Paragraph, Part, Tone
 from gauge_envs.pages.table import Column, Table
-from gauge_envs.tools.replay.causes import Cause, candidates
+from gauge_envs.tools.replay.causes import ZERO, Cause, candidates
 from gauge_envs.tools.replay.conventions import find_conventions, fixed_base
 from gauge_envs.tools.replay.fit import (
     THRESHOLDS,
@@ -158,6 +158,8 @@ def replay(
         given=given,
         mapped=mapped,
     )
+    if [each.cause for each in line.named] == [ZERO]:
+        line = replace(line, verdict=ReplayVerdict.LOG)
     line = replace(line, policy=differences)
     line = replace(line, sentence=_sentence(line), paste=change.lines())
     return ReplayResult(line, problem, explanation.change)
@@ -363,8 +365,10 @@ def _physics(line: ExplanationLine) -> Iterator[str]:
         return
     texts = " and ".join(each.text for each in line.named)
     verb = "explain" if len(line.named) > 1 else "explains"
+    is_log = line.verdict is ReplayVerdict.LOG and not line.mistakes
+    start = "The log is wrong: " if is_log else texts[0].upper()
     yield (
-        f"{texts[0].upper()}{texts[1:]} {verb} {_percent(line.named[0].share)} %: {trial.horizon_s:g} s prediction of "
+        f"{start}{texts if is_log else texts[1:]} {verb} {_percent(line.named[0].share)} %: {trial.horizon_s:g} s prediction of "
         f"{trial.joint} {_milli(trial.before)} to {_milli(trial.after)} {trial.unit}."
     )
     if times > 2.0:
