@@ -78,8 +78,17 @@ def _conventions(
     """Yield what each convention corrects, and its map."""
     joints = {name: model.joint(name) for name in log.joints}
     is_far = np.abs(log.position).max() > MAX_ANGLE
+    slide = mujoco.mjtJoint.mjJNT_SLIDE.value
+    slides = [name for name, joint in joints.items() if joint.type[0] == slide]
     if mapped.unit == "rad" and is_far:
-        yield "angles are in degrees", mapped.model_copy(update={"unit": "deg"})
+        radians = {
+            name: {"scale": np.deg2rad(1.0)} for name in joints if name not in slides
+        }
+        degrees = mapped.model_copy(update={"unit": "deg"})
+        yield (
+            "angles are in degrees",
+            with_joints(mapped, radians) if slides else degrees,
+        )
     ranges = {name: joint.range for name, joint in joints.items()}
     if is_far and all(np.ptp(limits) > 0.0 for limits in ranges.values()):
         percent = {
@@ -90,16 +99,11 @@ def _conventions(
             for name, limits in ranges.items()
         }
         yield "positions are -100 to 100 of each range", with_joints(mapped, percent)
-    slides = [
-        name
-        for name, joint in joints.items()
-        if joint.type[0] == mujoco.mjtJoint.mjJNT_SLIDE.value
-    ]
     if slides:
         metres = {name: {"scale": 1e-3} for name in slides}
         yield f"lengths of {', '.join(slides)} are in mm", with_joints(mapped, metres)
     if log.base_pose.shape[1] == 7:
-        for up, part in product(("y", "x", "-z"), ("pose", "position")):
+        for up, part in product(("y", "-y", "x", "-x", "-z"), ("pose", "position")):
             text = f"the axis {up} is up in the {part} of the base"
             yield text, mapped.model_copy(update={"up": up, "up_of": part})
     for name in joints:
