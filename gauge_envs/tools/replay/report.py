@@ -368,8 +368,8 @@ def _physics(line: ExplanationLine) -> Iterator[str]:
     is_log = line.verdict is ReplayVerdict.LOG and not line.mistakes
     start = "The log is wrong: " if is_log else texts[0].upper()
     yield (
-        f"{start}{texts if is_log else texts[1:]} {verb} {_percent(line.named[0].share)} %: {trial.horizon_s:g} s prediction of "
-        f"{trial.joint} {_milli(trial.before)} to {_milli(trial.after)} {trial.unit}."
+        f"{start}{texts if is_log else texts[1:]} {verb} {_percent(line.named[0].share)} %: {trial.horizon_s:g} s "
+        f"prediction of {trial.joint} {_milli(trial.before)} to {_milli(trial.after)} {trial.unit}."
     )
     if times > 2.0:
         yield f"{times:.0f} times the noise is left; nothing in the list explains that."

@@ -1,7 +1,6 @@
 """Causes that public threads have found are named first, in logs of a program of its own."""
 
 import pytest
-from places import ROOT, load_module
 
 FIRST_WORDS = {
     "bulletphysics/bullet3#1562": "Dry friction: hip",
@@ -18,7 +17,8 @@ FIRST_WORDS = {
 
 @pytest.mark.slow
 def test_the_answers_of_threads_are_named_first(tmp_path):
-    threads = load_module(ROOT / "studies" / "found" / "logs" / "threads.py")
-    lines = dict(threads.first_lines(tmp_path))
+    from studies.found.logs.threads import first_lines
+
+    lines = dict(first_lines(tmp_path))
     for thread, words in FIRST_WORDS.items():
         assert lines[thread].startswith(words), thread
