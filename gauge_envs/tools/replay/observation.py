@@ -21,14 +21,7 @@ Variants: TypeAlias = list[tuple[str, FloatArray]]
 """The right values of a term, without a text, and the usual wrong ones, shape [N, K]."""
 Policy: TypeAlias = Callable[[FloatArray], FloatArray]
 
-TERMS = (
-    "base_angvel",
-    "base_linvel",
-    "projected_gravity",
-    "joint_pos",
-    "joint_vel",
-    "last_action",
-)
+OF_BASE = ("base_linvel", "base_angvel", "projected_gravity")
 DOWN = (0.0, 0.0, -1.0)
 DELAYS = (0, 1, 2, 3)
 """Delays that are tried [samples]."""
@@ -62,47 +55,59 @@ def check_policy(
     Raises:
         FileError: The terms do not have the columns of the observation, or cannot be rebuilt.
     """
-    terms = [name.partition(" ") for name in mapped.observation]
-    rebuilt = [
-        [] if count else _scaled(_variants(log, term, mapped, home), mapped, term)
-        for term, _, count in terms
+    terms = [
+        (name, count)
+        for name, _, count in (text.partition(" ") for text in mapped.observation)
     ]
-    seen: list[FloatArray] = []
-    if log.observation.size and terms:
-        widths = [
-            int(count) if count else variants[0][1].shape[1]
-            for (*_, count), variants in zip(terms, rebuilt, strict=True)
+    rebuilt: list[Variants] = [
+        []
+        if count
+        else [
+            (text, mapped.observation_scale.get(term, 1.0) * values)
+            for text, values in _variants(log, term, mapped, home)
         ]
-        if sum(widths) != log.observation.shape[1]:
-            reason = f"the terms have {sum(widths)} columns, obs has {log.observation.shape[1]}"
-            raise FileError("--map", "observation", reason)
-        seen = np.split(log.observation, np.cumsum(widths)[:-1], axis=1)
-    for (term, *_), variants, columns in zip(terms, rebuilt, seen, strict=bool(seen)):
-        for text in _differs(columns, variants) if variants else ():
-            yield f"The policy sees {term} {text}."
+        for term, count in terms
+    ]
+    if log.observation.size and terms:
+        yield from _check_terms(log, terms, rebuilt)
     yield from _check_action(log, mapped, home)
     if policy is not None:
-        observations = [("", log.observation)] if log.observation.size else []
-        observations = observations or [*_observations(log, terms, rebuilt)]
+        observations = [("", log.observation)]
+        if not log.observation.size:
+            observations = [*_observations(log, terms, rebuilt)]
         actions = [(text, policy(values)) for text, values in observations]
         for text in _differs(_actions(log, mapped, home), actions):
             yield f"The logged action differs from the policy: {text}."
 
 
-def _scaled(
-    variants: Iterator[tuple[str, FloatArray]], mapped: LogMap, term: str
-) -> Variants:
-    scale = mapped.observation_scale.get(term, 1.0)
-    return [(text, scale * values) for text, values in variants]
+def _check_terms(
+    log: Log, terms: Sequence[tuple[str, str]], rebuilt: Sequence[Variants]
+) -> Iterator[str]:
+    """Yield in what each term of the observation differs from the state."""
+    widths = [
+        int(count) if count else variants[0][1].shape[1]
+        for (_, count), variants in zip(terms, rebuilt, strict=True)
+    ]
+    if sum(widths) != log.observation.shape[1]:
+        reason = (
+            f"the terms have {sum(widths)} columns, obs has {log.observation.shape[1]}"
+        )
+        raise FileError("--map", "observation", reason)
+    seen = np.split(log.observation, np.cumsum(widths)[:-1], axis=1)
+    for (term, _), variants, columns in zip(terms, rebuilt, seen, strict=True):
+        for text in _differs(columns, variants):
+            yield f"The policy sees {term} {text}."
 
 
 def _variants(
     log: Log, term: str, mapped: LogMap, home: FloatArray
 ) -> Iterator[tuple[str, FloatArray]]:
     """Yield the variants of a term."""
-    is_of_base = term in ("base_angvel", "base_linvel", "projected_gravity")
-    if is_of_base and not log.base_pose.size:
-        raise FileError(log.name, term, "the log has no base_quat to rebuild it")
+    turn = Rotation.identity()
+    if term in OF_BASE:
+        if not log.base_pose.size:
+            raise FileError(log.name, term, "the log has no base_quat to rebuild it")
+        turn = Rotation.from_quat(log.base_pose[:, 3:], scalar_first=True)
     if term == "joint_pos":
         yield "", log.position - home
         yield "without minus the default pose", log.position
@@ -113,21 +118,15 @@ def _variants(
         yield "", np.roll(actions, 1, axis=0)
         yield "of the present step", actions
     elif term == "projected_gravity":
-        quaternion = log.base_pose[:, 3:]
-        for order, numbers in (
-            ("", quaternion),
-            ("x y z w", np.roll(quaternion, -1, axis=1)),
-            ("w x y z", np.roll(quaternion, 1, axis=1)),
-        ):
-            turn = Rotation.from_quat(numbers, scalar_first=True)
+        yield "", turn.inv().apply(DOWN)
+        yield "turned the other way", turn.apply(DOWN)
+        for order, shift in (("x y z w", -1), ("w x y z", 1)):
+            numbers = np.roll(log.base_pose[:, 3:], shift, axis=1)
+            wrong = Rotation.from_quat(numbers, scalar_first=True)
             text = f"from numbers {order} of the quaternion that are taken for the other order"
-            yield text if order else "", turn.inv().apply(DOWN)
-            yield (
-                f"{text if order else ''} turned the other way".strip(),
-                turn.apply(DOWN),
-            )
-    elif is_of_base:
-        turn = Rotation.from_quat(log.base_pose[:, 3:], scalar_first=True)
+            yield text, wrong.inv().apply(DOWN)
+            yield f"{text} turned the other way", wrong.apply(DOWN)
+    elif term in OF_BASE:
         body = log.base_twist[:, 3:]
         if term == "base_linvel":
             body = turn.inv().apply(log.base_twist[:, :3])
@@ -135,9 +134,8 @@ def _variants(
         yield "in the world frame", turn.apply(body)
         yield "turned into the body frame twice", turn.inv().apply(body)
     else:
-        reason = (
-            f"no such term; give {', '.join(TERMS)}, or a name and a number of columns"
-        )
+        known = ", ".join((*OF_BASE, "joint_pos", "joint_vel", "last_action"))
+        reason = f"no such term; give {known}, or a name and a number of columns"
         raise FileError("--map", f"observation {term}", reason)
 
 
@@ -171,21 +169,21 @@ def _check_action(log: Log, mapped: LogMap, home: FloatArray) -> Iterator[str]:
 
 
 def _observations(
-    log: Log, terms: Sequence[tuple[str, str, str]], rebuilt: Sequence[Variants]
+    log: Log, terms: Sequence[tuple[str, str]], rebuilt: Sequence[Variants]
 ) -> Iterator[tuple[str, FloatArray]]:
     """Yield the rebuilt observation, and that with each usual mistake of a term."""
-    for term, _, count in terms:
+    for term, count in terms:
         if count:
             reason = "it is not in the state of the log; log the observation as obs"
             raise FileError(log.name, f"observation {term}", reason)
-    right = [variants[0][1] for variants in rebuilt]
-    yield "", np.hstack(right)
-    for place, ((term, *_), (_, *wrong)) in enumerate(zip(terms, rebuilt, strict=True)):
-        for text, values in wrong:
-            yield (
-                f"with {term} {text}",
-                np.hstack([*right[:place], values, *right[place + 1 :]]),
-            )
+    values = [variants[0][1] for variants in rebuilt]
+    yield "", np.hstack(values)
+    for place, ((term, _), (right, *wrong)) in enumerate(
+        zip(terms, rebuilt, strict=True)
+    ):
+        for text, values[place] in wrong:
+            yield f"with {term} {text}", np.hstack(values)
+        values[place] = right[1]
 
 
 def load_policy(file: Path) -> Policy:
@@ -271,7 +269,7 @@ def _state(log: Log) -> FloatArray:
     """Return what a policy can know of the robot, without its place and heading, shape [N, D]."""
     terms = [log.position, log.velocity]
     if log.base_pose.size:
-        for term in ("base_linvel", "base_angvel", "projected_gravity"):
+        for term in OF_BASE:
             terms.append(next(_variants(log, term, LogMap(), log.position[0]))[1])
     return np.hstack(terms)
 

@@ -8,6 +8,7 @@ import re
 import sqlite3
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing
+from functools import cache
 from itertools import zip_longest
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -134,21 +135,19 @@ def _read_parquet(file: Path, mapped: LogMap) -> Columns:
     data = parquet.ParquetDataset(file / "data" if file.is_dir() else file)
     titles = [name for name in data.schema.names if _meaning(name, mapped, ())]
     columns = [*data.read(titles).to_pydict().items()]
-    root = file if file.is_dir() else file.absolute().parent.parent.parent
+    root = file if file.is_dir() else file.absolute().parents[2]
     info = root / "meta" / "info.json"
     if info.is_file():
-        names = json_document(info.read_bytes())["features"]["observation.state"]
-        names = names.get("names") or []
-        names = names if isinstance(names, list) else next(iter(names.values()))
+        features = json_document(info.read_bytes())["features"]
+        names = features["observation.state"].get("names") or ()
         columns.append(("joints", [name.removesuffix(".pos") for name in names]))
     return columns
 
 
 def _read_hdf5(file: Path, mapped: LogMap) -> Columns:
-    """Read the episodes that Isaac Lab records: the states after each action, and one before the first."""
+    """Read the episodes that Isaac Lab records."""
     with needs_extra("reading HDF5", "logs"):
         import h5py
-    parts: dict[str, list[Any]] = {}
     with h5py.File(file) as content:
         data = content["data"]
         facts = json.loads(data.attrs.get("env_args", "{}")).get("sim_args", {})
@@ -156,55 +155,47 @@ def _read_hdf5(file: Path, mapped: LogMap) -> Columns:
         if not step_s:
             reason = "the file has no step; add interval_s to --map"
             raise FileError(file, "env_args", reason)
-        for name in sorted(data, key=lambda name: int(name.rpartition("_")[2])):
-            for title, values in _episode(data[name]).items():
-                parts.setdefault(title, []).append(values)
-    lengths = [len(actions) for actions in parts["action"]]
-    columns = [(title, np.concatenate(values)) for title, values in parts.items()]
-    counts = np.concatenate([np.arange(length) for length in lengths])
-    episodes = np.repeat(np.arange(len(lengths)), lengths)
-    return [*columns, ("t", step_s * counts), ("episode", episodes)]
+        names = sorted(data, key=lambda name: int(name.rpartition("_")[2]))
+        parts = [_episode(data[name], k, step_s) for k, name in enumerate(names)]
+    return [
+        (title, np.concatenate([part[title] for part in parts])) for title in parts[0]
+    ]
 
 
-def _episode(demo: Any) -> dict[str, Any]:
-    robots = demo["states/articulation"]
+def _episode(demo: Any, index: int, step_s: float) -> dict[str, Any]:
+    """Return an episode; its file has the state after each action, and the one before the first apart."""
+    robots, starts = demo["states/articulation"], demo["initial_state/articulation"]
     robot = "robot" if "robot" in robots else next(iter(robots))
-    first, after = demo["initial_state/articulation"][robot], robots[robot]
+    first, after = starts[robot], robots[robot]
     state = {key: np.vstack([first[key], after[key][:-1]]) for key in after}
+    actions = demo["actions"][:]
     columns = {"q": state["joint_position"], "dq": state["joint_velocity"]}
+    columns |= {"action": actions, "t": step_s * np.arange(len(actions))}
     if np.ptp(state["root_pose"], axis=0).any():
-        columns["base_pos"], columns["base_quat"] = np.split(
-            state["root_pose"], [3], axis=1
-        )
+        columns["base_pos"], columns["base_quat"] = np.split(state["root_pose"], [3], 1)
         columns["base_linvel"], columns["base_angvel"] = np.hsplit(
             state["root_velocity"], 2
         )
-    return columns | {"action": demo["actions"][:]}
+    return columns | {"episode": np.full(len(actions), index)}
 
 
 def _read_bag(file: Path, mapped: LogMap) -> Columns:
     """Read the joint states of a bag of ROS 2, and the commands whose topic the map names."""
-    topics = {
-        topic: quantity
-        for quantity, topic in ({"position": "/joint_states"} | mapped.columns).items()
-        if isinstance(topic, str)
-    }
-    rows: dict[str, list[tuple[float, Any]]] = {topic: [] for topic in topics}
+    named = {"position": "/joint_states"} | mapped.columns
+    topics = {quantity: str(topic) for quantity, topic in named.items()}
+    rows: dict[str, list[tuple[float, Any]]] = {}
     for topic, kind, time_ns, content in _bag_messages(file):
         if kind in DEFINITIONS:
-            rows.setdefault(topic, []).append((1e-9 * time_ns, (kind, content)))
-    for topic in topics:
-        if not rows[topic]:
-            known = first_names([each for each in rows if rows[each]])
-            reason = f"no messages; the file has {known}: name the topics in [columns] of --map"
+            rows.setdefault(topic, []).append((1e-9 * time_ns, _decoder(kind)(content)))
+    for topic in topics.values():
+        if topic not in rows:
+            reason = f"no messages; the file has {first_names([*rows])}: name the topics in [columns] of --map"
             raise FileError(file, topic, reason)
-    decoded = {quantity: _decoded(rows[topic]) for topic, quantity in topics.items()}
-    is_stamped = all(hasattr(part[0][1], "header") for part in decoded.values())
-    return [
-        column
-        for quantity, messages in decoded.items()
-        for column in _topic_columns(quantity, messages, is_stamped)
-    ]
+    is_stamped = all(hasattr(rows[topic][0][1], "header") for topic in topics.values())
+    columns: Columns = []
+    for quantity, topic in topics.items():
+        columns += _topic_columns(quantity, rows[topic], is_stamped)
+    return columns
 
 
 def _bag_messages(file: Path) -> Iterator[tuple[str, str, int, bytes]]:
@@ -212,9 +203,8 @@ def _bag_messages(file: Path) -> Iterator[tuple[str, str, int, bytes]]:
     parts = [*file.glob("*.mcap"), *file.glob("*.db3")] if file.is_dir() else [file]
     for part in sorted(parts):
         if part.suffix == ".db3":
-            with closing(
-                sqlite3.connect(f"{part.absolute().as_uri()}?mode=ro", uri=True)
-            ) as base:
+            place = f"{part.absolute().as_uri()}?mode=ro"
+            with closing(sqlite3.connect(place, uri=True)) as base:
                 yield from base.execute(MESSAGES)
             continue
         with needs_extra("reading MCAP", "logs"):
@@ -225,41 +215,34 @@ def _bag_messages(file: Path) -> Iterator[tuple[str, str, int, bytes]]:
                 yield channel.topic, kind, message.log_time, message.data
 
 
-def _decoded(rows: Sequence[tuple[float, Any]]) -> list[tuple[float, Any]]:
-    """Return the times and messages of a topic; those of other joints than the first message has are left out."""
+@cache
+def _decoder(kind: str) -> Any:
     with needs_extra("reading bags of ROS 2", "logs"):
         from mcap.records import Schema
         from mcap_ros2.decoder import DecoderFactory
-    kind = rows[0][1][0]
-    schema = Schema(
-        id=1, name=kind, encoding="ros2msg", data=DEFINITIONS[kind].encode()
-    )
-    decode: Any = DecoderFactory().decoder_for("cdr", schema)
-    messages = [(time_s, decode(content)) for time_s, (_, content) in rows]
-    names = getattr(messages[0][1], "name", None)
-    return [row for row in messages if getattr(row[1], "name", None) == names]
+    schema = Schema(1, DEFINITIONS[kind].encode(), "ros2msg", kind)
+    return DecoderFactory().decoder_for("cdr", schema)
 
 
 def _topic_columns(
     quantity: str, rows: Sequence[tuple[float, Any]], is_stamped: bool
 ) -> Iterator[tuple[str, Any]]:
-    """Yield the columns of a topic; times are stamps where all topics have them, else those of the recorder."""
-    times, messages = zip(*rows, strict=True)
-    if is_stamped:
-        stamps = [message.header.stamp for message in messages]
-        times = tuple(stamp.sec + 1e-9 * stamp.nanosec for stamp in stamps)
-    names = getattr(messages[0], "name", None)
-    fields = {quantity: "effort" if quantity == "tau" else "position"}
-    if quantity == "position":
-        fields["velocity"] = "velocity"
-    yield "time" if quantity == "position" else "command_time", times
-    for kind, field in fields.items():
-        table = np.array(
-            [[*getattr(each, field if names else "data")] for each in messages]
-        )
-        if not names:
-            yield kind, table
-            continue
+    """Yield the columns of a topic; messages of other joints than the first one has are left out.
+
+    Times are stamps where all topics have them, else those of the recorder.
+    """
+    names = getattr(rows[0][1], "name", None)
+    rows = [row for row in rows if getattr(row[1], "name", None) == names]
+    is_state = quantity == "position"
+    stamps = [row[1].header.stamp for row in rows] if is_stamped else ()
+    times = [stamp.sec + 1e-9 * stamp.nanosec for stamp in stamps]
+    yield "time" if is_state else "command_time", times or [row[0] for row in rows]
+    if not names:
+        yield quantity, [[*row[1].data] for row in rows]
+        return
+    field = "effort" if quantity == "tau" else "position"
+    for kind, key in ((quantity, field), *[("velocity", "velocity")] * is_state):
+        table = np.array([[*getattr(row[1], key)] for row in rows])
         for name, column in zip(names, table.T, strict=False):
             yield f"{kind}[{name}]", column
 
@@ -281,28 +264,6 @@ READERS: dict[str, Callable[[Path, LogMap], Columns]] = {
 """Reader by suffix; other files are CSV."""
 
 
-def _read_columns(file: Path, mapped: LogMap) -> Columns:
-    """Return the columns of a file, and of the episodes that the map selects."""
-    is_large = file.is_dir() or file.suffix in (".mcap", ".db3", ".hdf5", ".h5")
-    opened = faults_of if is_large else reading
-    with opened(file, FileError, "a CSV, NPZ, Parquet, HDF5 or MCAP file"):
-        reader = READERS.get(file.suffix, _read_csv)
-        columns = (_read_folder if file.is_dir() else reader)(file, mapped)
-        episode = dict(columns).get("episode", dict(columns).get("episode_index"))
-        if episode is None or not mapped.episodes:
-            return columns
-        is_chosen = np.isin(np.asarray(episode, dtype=float), mapped.episodes)
-        return [
-            (
-                title,
-                np.asarray(values)[is_chosen]
-                if len(values) == len(is_chosen)
-                else values,
-            )
-            for title, values in columns
-        ]
-
-
 # --- columns ---------------------------------------------------------------------------------------------------------
 
 
@@ -321,10 +282,19 @@ def read_log(
         MissingExtraError: The package that reads this format is not installed.
     """
     mapped = mapped or LogMap()
-    columns = _read_columns(file, mapped)
+    # Bags and data sets may be too large to be read at once.
+    is_large = file.is_dir() or READERS.get(file.suffix) in (_read_bag, _read_hdf5)
+    opened = faults_of if is_large else reading
+    with opened(file, FileError, "a CSV, NPZ, Parquet, HDF5 or MCAP file"):
+        reader = READERS.get(file.suffix, _read_csv)
+        columns = (_read_folder if file.is_dir() else reader)(file, mapped)
     by_title = dict(columns)
     order = mapped.order or [str(name) for name in by_title.get("joints", ())]
     found = _by_joint(file, columns, order or names, mapped)
+    for episode in [*found["episode"].values()] if mapped.episodes else ():
+        is_chosen = np.isin(episode, mapped.episodes)
+        for table in found.values():
+            table.update({name: column[is_chosen] for name, column in table.items()})
     for quantity in mapped.columns:
         if not found.get(quantity):
             reason = f"no such quantity ({' '.join(COLUMN_NAMES)}), or no such column: {first_names([*by_title])}"
