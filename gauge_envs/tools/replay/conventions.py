@@ -20,7 +20,7 @@ MIN_GAIN = 1.0
 """Decrease of the sum of the logarithms of errors over noise [nat] that a convention must bring; a mistake of one joint
 changes one term, and a physical cause is not a convention."""
 MAX_MISFIT = -0.5
-"""Largest misfit [nat], after the change, of the degree of freedom that gains most: the model then predicts it."""
+"""Largest misfit [nat], after the change, of a degree of freedom that gains: the model then predicts it."""
 MAX_ANGLE = np.pi
 """Angle [rad] beyond which angles may have another unit."""
 MOVES = 0.05
@@ -51,7 +51,8 @@ def find_conventions(
                 trial = misfits(read(changed), model, changed)
             except GaugeError:
                 continue
-            if trial[np.argmax(best - trial)] < MAX_MISFIT:
+            gain = best - trial
+            if trial[gain >= min(MIN_GAIN, gain.max())].min() < MAX_MISFIT:
                 found.append((trial.sum(), text, changed, trial))
         if not found:
             break
