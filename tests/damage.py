@@ -37,8 +37,9 @@ from gauge_envs.tools.conformance.expectations import read_known_failures
 from gauge_envs.tools.conformance.results import read_columns
 from gauge_envs.tools.dataset.importer import import_trials
 from gauge_envs.tools.dataset.layout import find_trials
-from gauge_envs.tools.replay.log import read_log, read_map
+from gauge_envs.tools.replay.log import read_map
 from gauge_envs.tools.replay.model import load_model
+from gauge_envs.tools.replay.readers import read_log
 from gauge_envs.tools.run.folder import earlier_outcomes
 from gauge_envs.tools.run.report import summary_document
 from gauge_envs.tools.run.spec import load_sweep_file

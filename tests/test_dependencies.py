@@ -16,6 +16,7 @@ PACKAGE = ROOT / "gauge_envs"
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 
 DISTRIBUTION = {
+    "mcap_ros2": "mcap-ros2-support",
     "mpl_toolkits": "matplotlib",
     "cv2": "opencv-python-headless",
     "PIL": "pillow",

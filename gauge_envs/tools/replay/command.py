@@ -18,7 +18,8 @@ def replay(
         list[Path],
         typer.Argument(
             metavar="LOG...",
-            help="Logs of a robot or simulator: CSV, NPZ or Parquet; several with --fit or several models.",
+            help="Logs of a robot or simulator: CSV, NPZ, Parquet, HDF5, MCAP, or the folder of a bag or of a LeRobot "
+            "data set; several with --fit or several models.",
         ),
     ],
     model: Annotated[
@@ -45,6 +46,14 @@ def replay(
             arguments.SCENE,
             "Names, signs, units and gains that differ (TOML).",
             "--map",
+            metavar="FILE",
+        ),
+    ] = None,
+    policy: Annotated[
+        Path | None,
+        arguments.option(
+            arguments.SCENE,
+            "The policy that drove the robot: ONNX or TorchScript.",
             metavar="FILE",
         ),
     ] = None,
@@ -113,7 +122,8 @@ def replay(
         if len(log) > 1:
             raise ParameterError("several logs need --fit, or a second --model")
         with Progress("causes", None) as progress:
-            result = explain(log[0], model[0], against, mapped, progress.advance)
+            advance = progress.advance
+            result = explain(log[0], model[0], against, mapped, advance, policy)
         document, paste = replay_document(result.line), result.line.paste
         differs = result.verdict is not ReplayVerdict.NOISE
     print_document(document, form, files=files)

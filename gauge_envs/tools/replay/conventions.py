@@ -20,7 +20,7 @@ MIN_GAIN = 1.0
 """Decrease of the sum of the logarithms of errors over noise [nat] that a convention must bring; a mistake of one joint
 changes one term, and a physical cause is not a convention."""
 MAX_MISFIT = -0.5
-"""Largest misfit [nat], after the change, of the degree of freedom that gains most: the model then predicts it."""
+"""Largest misfit [nat], after the change, of a degree of freedom that gains: the model then predicts it."""
 MAX_ANGLE = np.pi
 """Angle [rad] beyond which angles may have another unit."""
 MOVES = 0.05
@@ -51,7 +51,8 @@ def find_conventions(
                 trial = misfits(read(changed), model, changed)
             except GaugeError:
                 continue
-            if trial[np.argmax(best - trial)] < MAX_MISFIT:
+            gain = best - trial
+            if trial[gain >= min(MIN_GAIN, gain.max())].min() < MAX_MISFIT:
                 found.append((trial.sum(), text, changed, trial))
         if not found:
             break
@@ -78,8 +79,17 @@ def _conventions(
     """Yield what each convention corrects, and its map."""
     joints = {name: model.joint(name) for name in log.joints}
     is_far = np.abs(log.position).max() > MAX_ANGLE
+    slide = mujoco.mjtJoint.mjJNT_SLIDE.value
+    slides = [name for name, joint in joints.items() if joint.type[0] == slide]
     if mapped.unit == "rad" and is_far:
-        yield "angles are in degrees", mapped.model_copy(update={"unit": "deg"})
+        radians = {
+            name: {"scale": np.deg2rad(1.0)} for name in joints if name not in slides
+        }
+        degrees = mapped.model_copy(update={"unit": "deg"})
+        yield (
+            "angles are in degrees",
+            with_joints(mapped, radians) if slides else degrees,
+        )
     ranges = {name: joint.range for name, joint in joints.items()}
     if is_far and all(np.ptp(limits) > 0.0 for limits in ranges.values()):
         percent = {
@@ -90,16 +100,11 @@ def _conventions(
             for name, limits in ranges.items()
         }
         yield "positions are -100 to 100 of each range", with_joints(mapped, percent)
-    slides = [
-        name
-        for name, joint in joints.items()
-        if joint.type[0] == mujoco.mjtJoint.mjJNT_SLIDE.value
-    ]
     if slides:
         metres = {name: {"scale": 1e-3} for name in slides}
         yield f"lengths of {', '.join(slides)} are in mm", with_joints(mapped, metres)
     if log.base_pose.shape[1] == 7:
-        for up, part in product(("y", "x", "-z"), ("pose", "position")):
+        for up, part in product(("y", "-y", "x", "-x", "-z"), ("pose", "position")):
             text = f"the axis {up} is up in the {part} of the base"
             yield text, mapped.model_copy(update={"up": up, "up_of": part})
     for name in joints:

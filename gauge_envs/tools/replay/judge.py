@@ -11,7 +11,7 @@ from scipy.stats import t as student
 from gauge_envs.errors import ParameterError
 from gauge_envs.pages.document import Document, Paragraph, Tone
 from gauge_envs.pages.table import Column, Table
-from gauge_envs.tools.replay.log import FloatArray, LogMap, read_log
+from gauge_envs.tools.replay.log import FloatArray, LogMap
 from gauge_envs.tools.replay.model import (
     Replayer,
     Setup,
@@ -20,6 +20,7 @@ from gauge_envs.tools.replay.model import (
     load_model,
     quiet_engine,
 )
+from gauge_envs.tools.replay.readers import read_log
 from gauge_envs.tools.replay.schema import ModelLine
 
 HORIZONS_S = (0.1, 0.5, 2.0)
@@ -52,7 +53,7 @@ def load_setups(
     logs: Sequence[Path], model: Path, mapped: LogMap
 ) -> list[tuple[Replayer, Setup]]:
     """Return each log with the setup of a model."""
-    compiled = load_model(model)
+    compiled = load_model(model, mapped.control)
     pairs = []
     for file in logs:
         log = read_log(file, joint_names(compiled), mapped)

@@ -98,8 +98,13 @@ def quiet_engine() -> Iterator[None]:
         mujoco.set_mju_user_warning(handler)
 
 
-def load_model(file: Path) -> mujoco.MjModel:
+def load_model(file: Path, control: ControlMap | None = None) -> mujoco.MjModel:
     """Return a compiled model without the meshes that nothing touches.
+
+    Args:
+        file: MJCF or URDF.
+        control: The controller outside of the model. If it has a kp and the model no actuator, as a URDF, each hinge
+            and slide gets a motor.
 
     Raises:
         FileError: MuJoCo cannot read the file.
@@ -111,6 +116,12 @@ def load_model(file: Path) -> mujoco.MjModel:
             # A cause may move the centre of a link, which a simple body forbids; MuJoCo 3 has no such switch.
             if hasattr(body, "simple"):
                 body.simple = 0
+        model = spec.compile()
+        if control is None or control.kp is None or model.nu:
+            return model
+        for name in joint_names(model):
+            motor = spec.add_actuator(target=name)
+            motor.trntype = mujoco.mjtTrn.mjTRN_JOINT
         return spec.compile()
 
 

@@ -1,102 +1,132 @@
-"""The policy's side: each term of its observation against the state of the log."""
+"""The policy's side: its observation, its action and its file against the state and the command of the log."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from itertools import product
+from pathlib import Path
+from typing import Any, TypeAlias
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
+from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.errors import FileError
-from gauge_envs.tools.replay.log import FloatArray, Log, LogMap, noise_of
+from gauge_envs.optional import needs_extra
+from gauge_envs.reading import faults_of
+from gauge_envs.tools.replay.log import FloatArray, Log, LogMap
 
-TERMS = (
-    "base_angvel",
-    "base_linvel",
-    "projected_gravity",
-    "joint_pos",
-    "joint_vel",
-    "last_action",
-)
+Variants: TypeAlias = list[tuple[str, FloatArray]]
+"""The right values of a term, without a text, and the usual wrong ones, shape [N, K]."""
+Policy: TypeAlias = Callable[[FloatArray], FloatArray]
+
+OF_BASE = ("base_linvel", "base_angvel", "projected_gravity")
 DOWN = (0.0, 0.0, -1.0)
 DELAYS = (0, 1, 2, 3)
-"""Delays of an observation that are tried [samples]."""
-SAME = 0.1
-"""Difference of a term and its rebuilt values beyond the noise, over their spread, below which they are one."""
+"""Delays that are tried [samples]."""
+SAME = 0.03
+"""Difference of a term and its rebuilt values, over their spread, below which they are one."""
 MAX_RATIO = 0.4
-"""Difference that a usual mistake leaves, over the one without it."""
+"""Difference that a usual mistake leaves, over the one without it; noise is part of both."""
 UNLIKE = 0.5
 """Difference from which on a term is named without a usual mistake."""
 WORD = 0.02
 """Difference that one more word must bring."""
+FAR_S = 0.3
+"""Time from which on two samples of a log are no neighbours in time."""
+MAX_SCATTER = 0.1
+"""Scatter of the commands at one state, over their spread, from which on the state does not decide them."""
+MIN_PAIRS = 30
+"""Samples of a second log in states of the first one from which on their commands are compared."""
 
 
-def check_observation(log: Log, mapped: LogMap, home: FloatArray) -> Iterator[str]:
-    """Yield what each term of the observation has in place of the state.
+def check_policy(
+    log: Log, mapped: LogMap, home: FloatArray, policy: Policy | None = None
+) -> Iterator[str]:
+    """Yield in what observation and action differ from state and command, a sentence each.
 
     Args:
         log: The log, with base and joints in the terms of the model.
-        mapped: Names the terms in their order, and their scales.
+        mapped: Names the terms of the observation in their order, and their scales.
         home: Default pose of the joints of the log, shape [J].
+        policy: Returns the actions to observations.
 
     Raises:
-        FileError: The terms do not have the columns of the observation.
+        FileError: The terms do not have the columns of the observation, or cannot be rebuilt.
     """
-    if not mapped.observation:
-        return
-    variants, widths = [], []
-    for name in mapped.observation:
-        term, _, count = name.partition(" ")
-        variants.append((term, [] if count else [*_variants(log, term, home)]))
-        widths.append(int(count) if count else variants[-1][1][0][1].shape[1])
+    terms = [
+        (name, count)
+        for name, _, count in (text.partition(" ") for text in mapped.observation)
+    ]
+    rebuilt: list[Variants] = [
+        []
+        if count
+        else [
+            (text, mapped.observation_scale.get(term, 1.0) * values)
+            for text, values in _variants(log, term, mapped, home)
+        ]
+        for term, count in terms
+    ]
+    if log.observation.size and terms:
+        yield from _check_terms(log, terms, rebuilt)
+    yield from _check_action(log, mapped, home)
+    if policy is not None:
+        observations = [("", log.observation)]
+        if not log.observation.size:
+            observations = [*_observations(log, terms, rebuilt)]
+        actions = [(text, policy(values)) for text, values in observations]
+        for text in _differs(_actions(log, mapped, home), actions):
+            yield f"The logged action differs from the policy: {text}."
+
+
+def _check_terms(
+    log: Log, terms: Sequence[tuple[str, str]], rebuilt: Sequence[Variants]
+) -> Iterator[str]:
+    """Yield in what each term of the observation differs from the state."""
+    widths = [
+        int(count) if count else variants[0][1].shape[1]
+        for (_, count), variants in zip(terms, rebuilt, strict=True)
+    ]
     if sum(widths) != log.observation.shape[1]:
         reason = (
             f"the terms have {sum(widths)} columns, obs has {log.observation.shape[1]}"
         )
         raise FileError("--map", "observation", reason)
-    columns = np.split(log.observation, np.cumsum(widths)[:-1], axis=1)
-    for (term, values), seen in zip(variants, columns, strict=True):
-        if values:
-            scale = mapped.observation_scale.get(term, 1.0)
-            yield from _differs(term, seen, values, scale)
+    seen = np.split(log.observation, np.cumsum(widths)[:-1], axis=1)
+    for (term, _), variants, columns in zip(terms, rebuilt, seen, strict=True):
+        for text in _differs(columns, variants):
+            yield f"The policy sees {term} {text}."
 
 
 def _variants(
-    log: Log, term: str, home: FloatArray
+    log: Log, term: str, mapped: LogMap, home: FloatArray
 ) -> Iterator[tuple[str, FloatArray]]:
-    """Yield the right values of a term, without a text, and the usual wrong ones, shape [N, K]."""
-    if (
-        term in ("base_angvel", "base_linvel", "projected_gravity")
-        and not log.base_pose.size
-    ):
-        raise FileError(log.name, term, "the log has no base_quat to rebuild it")
+    """Yield the variants of a term."""
+    turn = Rotation.identity()
+    if term in OF_BASE:
+        if not log.base_pose.size:
+            raise FileError(log.name, term, "the log has no base_quat to rebuild it")
+        turn = Rotation.from_quat(log.base_pose[:, 3:], scalar_first=True)
     if term == "joint_pos":
         yield "", log.position - home
         yield "without minus the default pose", log.position
     elif term == "joint_vel":
         yield "", log.velocity
     elif term == "last_action":
-        yield "", np.roll(log.command, 1, axis=0)
-        yield "of the present step", log.command
+        actions = _actions(log, mapped, home)
+        yield "", np.roll(actions, 1, axis=0)
+        yield "of the present step", actions
     elif term == "projected_gravity":
-        quaternion = log.base_pose[:, 3:]
-        for order, numbers in (
-            ("", quaternion),
-            ("x y z w", np.roll(quaternion, -1, axis=1)),
-            ("w x y z", np.roll(quaternion, 1, axis=1)),
-        ):
-            turn = Rotation.from_quat(numbers, scalar_first=True)
-            text = (
-                f"from numbers {order} of the quaternion that are taken for the other order"
-                if order
-                else ""
-            )
-            yield text, turn.inv().apply(DOWN)
-            yield f"{text} turned the other way".strip(), turn.apply(DOWN)
-    elif term in ("base_angvel", "base_linvel"):
-        turn = Rotation.from_quat(log.base_pose[:, 3:], scalar_first=True)
+        yield "", turn.inv().apply(DOWN)
+        yield "turned the other way", turn.apply(DOWN)
+        for order, shift in (("x y z w", -1), ("w x y z", 1)):
+            numbers = np.roll(log.base_pose[:, 3:], shift, axis=1)
+            wrong = Rotation.from_quat(numbers, scalar_first=True)
+            text = f"from numbers {order} of the quaternion that are taken for the other order"
+            yield text, wrong.inv().apply(DOWN)
+            yield f"{text} turned the other way", wrong.apply(DOWN)
+    elif term in OF_BASE:
         body = log.base_twist[:, 3:]
         if term == "base_linvel":
             body = turn.inv().apply(log.base_twist[:, :3])
@@ -104,48 +134,196 @@ def _variants(
         yield "in the world frame", turn.apply(body)
         yield "turned into the body frame twice", turn.inv().apply(body)
     else:
-        reason = (
-            f"no such term; give {', '.join(TERMS)}, or a name and a number of columns"
-        )
+        known = ", ".join((*OF_BASE, "joint_pos", "joint_vel", "last_action"))
+        reason = f"no such term; give {known}, or a name and a number of columns"
         raise FileError("--map", f"observation {term}", reason)
 
 
-def _differs(
-    term: str, seen: FloatArray, variants: list[tuple[str, FloatArray]], scale: float
-) -> Iterator[str]:
-    """Yield in what a term differs from its right values, if it does."""
-    tried = []
-    for (text, values), delay in product(variants, DELAYS):
-        late = np.roll(values, delay, axis=0)[max(DELAYS) :]
-        shown = seen[max(DELAYS) :]
-        late_text = f"{delay} samples late" if delay else ""
-        words = [text, late_text]
-        tried.append((_gap(shown, scale * late), words))
-        order = _order(shown, late)
-        if (order != np.arange(len(order))).any():
-            moved = scale * late[:, order]
-            columns = " ".join(map(str, order))
-            tried.append(
-                (_gap(shown, moved), [*words, f"with columns in the order {columns}"])
+def _actions(log: Log, mapped: LogMap, home: FloatArray) -> FloatArray:
+    """Return the actions, which the targets contain where the log has none."""
+    if log.action.size or log.command_kind != "target":
+        return log.action if log.action.size else log.held_command()
+    return (log.held_command() - home) / _action_scale(log, mapped)
+
+
+def _action_scale(log: Log, mapped: LogMap) -> FloatArray:
+    return np.array([mapped.control.of(name)["action_scale"] for name in log.joints])
+
+
+def _check_action(log: Log, mapped: LogMap, home: FloatArray) -> Iterator[str]:
+    """Yield in what the targets of a log differ from its actions."""
+    target = log.held_command()
+    if (
+        log.command_kind != "target"
+        or not log.action.shape == target.shape == log.position.shape
+    ):
+        return
+    moved = _action_scale(log, mapped) * log.action
+    variants = [
+        ("", moved),
+        ("without the default pose", moved - home),
+        ("from the present pose", moved + log.position - home),
+    ]
+    for text in _differs(target - home, variants):
+        yield f"The target is the action {text}."
+
+
+def _observations(
+    log: Log, terms: Sequence[tuple[str, str]], rebuilt: Sequence[Variants]
+) -> Iterator[tuple[str, FloatArray]]:
+    """Yield the rebuilt observation, and that with each usual mistake of a term."""
+    for term, count in terms:
+        if count:
+            reason = "it is not in the state of the log; log the observation as obs"
+            raise FileError(log.name, f"observation {term}", reason)
+    values = [variants[0][1] for variants in rebuilt]
+    yield "", np.hstack(values)
+    for place, ((term, _), (right, *wrong)) in enumerate(
+        zip(terms, rebuilt, strict=True)
+    ):
+        for text, values[place] in wrong:
+            yield f"with {term} {text}", np.hstack(values)
+        values[place] = right[1]
+
+
+def load_policy(file: Path) -> Policy:
+    """Return a policy of a file in ONNX or TorchScript, with one input and one output.
+
+    Raises:
+        FileError: The file is no such policy.
+        MissingExtraError: The package that runs it is not installed.
+    """
+    if file.suffix == ".onnx":
+        with needs_extra("running a policy in ONNX", "logs"):
+            import onnxruntime
+        with faults_of(file, FileError, "a policy in ONNX"):
+            session = onnxruntime.InferenceSession(
+                str(file), providers=["CPUExecutionProvider"]
             )
+            given, *others = session.get_inputs()
+            if others:
+                names = ", ".join(each.name for each in (given, *others))
+                raise FileError(file, "inputs", f"{names}; one is supported")
+
+        def run(row: Any) -> Any:
+            return session.run(None, {given.name: row})[0]
+    else:
+        with needs_extra("running a policy in TorchScript", "rl"):
+            import torch
+        with faults_of(file, FileError, "a policy in TorchScript"):
+            module = torch.jit.load(file, map_location="cpu")
+
+        def run(row: Any) -> Any:
+            with torch.no_grad():
+                return module(torch.from_numpy(row)).numpy()
+
+    def policy(observations: FloatArray) -> FloatArray:
+        with faults_of(file, FileError, "a policy of this observation"):
+            # A file may have a batch of one.
+            rows = [run(row[None].astype(np.float32)) for row in observations]
+        return np.concatenate(rows).astype(float)
+
+    return policy
+
+
+def compare_commands(first: Log, second: Log) -> Iterator[str]:
+    """Yield in what the commands of a second log differ from those of the first one at the same state.
+
+    States of the first log that come back tell whether its commands depend on the state alone, and how far.
+    """
+    states, commands = [_state(log) for log in (first, second)], first.held_command()
+    names = [
+        (log.joints, log.command_kind, log.command_names) for log in (first, second)
+    ]
+    if (
+        names[0] != names[1]
+        or not first.command_kind
+        or states[0].shape[1] != states[1].shape[1]
+    ):
+        return
+    spread = states[0].std(axis=0) + 1e-9
+    tree = KDTree(states[0] / spread)
+    step = np.linalg.norm(np.diff(states[0] / spread, axis=0), axis=1)
+    limit = 0.5 * float(np.median(step))
+    around = tree.query_ball_point(states[0] / spread, limit)
+    pairs = [
+        (row, other)
+        for row, others in enumerate(around)
+        for other in others
+        if first.time_s[other] - first.time_s[row] > FAR_S
+    ]
+    distance, nearest = tree.query(states[1] / spread)
+    is_near = distance < limit
+    if min(len(pairs), is_near.sum()) < MIN_PAIRS:
+        return
+    rows, others = np.transpose(pairs)
+    scatter = 0.5 * np.mean((commands[rows] - commands[others]) ** 2)
+    if scatter > (MAX_SCATTER * np.std(commands)) ** 2:
+        return
+    expected = [("", commands[nearest[is_near]])]
+    for text in _differs(second.held_command()[is_near], expected, (0,), 2.0 * scatter):
+        yield f"At the same state, the commands of {second.name} differ from {first.name}: {text}."
+
+
+def _state(log: Log) -> FloatArray:
+    """Return what a policy can know of the robot, without its place and heading, shape [N, D]."""
+    terms = [log.position, log.velocity]
+    if log.base_pose.size:
+        for term in OF_BASE:
+            terms.append(next(_variants(log, term, LogMap(), log.position[0]))[1])
+    return np.hstack(terms)
+
+
+def _differs(
+    seen: FloatArray,
+    variants: Variants,
+    delays: Sequence[int] = DELAYS,
+    noise: float = 0.0,
+) -> Iterator[str]:
+    """Yield in what values differ from the right ones, if they do.
+
+    Args:
+        seen: The values, shape [N, K].
+        variants: See above.
+        delays: Delays that are tried [samples].
+        noise: Squared difference without a mistake.
+    """
+    tried = []
+    skipped, limit = max(delays), np.abs(seen).max()
+    shown = seen[skipped:]
+    for (text, values), delay in product(variants, delays):
+        if values.shape != seen.shape:
+            continue
+        late = np.roll(values, delay, axis=0)[skipped:]
+        words = [text, f"{delay} sample{'s' * (delay > 1)} late" if delay else ""]
+        order, shift = _order(shown, late), np.mean(shown - late, axis=0)
         gain = np.sum(shown * late) / max(np.sum(late**2), 1e-12)
-        tried.append((_gap(shown, gain * late), [*words, f"with the scale {gain:.3g}"]))
-        limit = np.abs(shown).max()
-        clipped = np.clip(scale * late, -limit, limit)
-        tried.append((_gap(shown, clipped), [*words, f"clipped at {limit:.3g}"]))
-    first = tried[0][0]
+        largest = shift[np.argmax(np.abs(shift))]
+        for moved, *more in (
+            (late,),
+            (late[:, order], f"with columns in the order {' '.join(map(str, order))}"),
+            (gain * late, f"with {gain:.3g} times its scale"),
+            (np.clip(late, -limit, limit), f"clipped at {limit:.3g}"),
+            (
+                late + shift,
+                f"with an offset up to {largest:.3g}",
+                "as of another default pose",
+            ),
+        ):
+            tried.append((_gap(shown, moved, noise), [*words, *more]))
+    first = tried[0][0] if tried else 0.0
+    if first < SAME:
+        return
     gap, words = min(tried, key=lambda row: row[0] + WORD * sum(map(bool, row[1])))
-    if first > SAME and gap < MAX_RATIO * first:
-        yield f"{term} {' '.join(filter(None, words))}"
+    if gap < MAX_RATIO * first:
+        yield " ".join(filter(None, words))
     elif first > UNLIKE:
-        yield f"{term} {100.0 * first:.0f} % off its motion, and no usual mistake explains it"
+        yield f"{100.0 * first:.0f} % off its motion, and no usual mistake explains it"
 
 
-def _gap(seen: FloatArray, rebuilt: FloatArray) -> float:
-    """Return the root mean square difference beyond the noise of both, over the motion."""
-    rows = np.arange(float(len(seen)))
-    noise = np.concatenate([noise_of(rows, seen), noise_of(rows, rebuilt)])
-    difference = np.mean((seen - rebuilt) ** 2) - 2.0 * np.mean(noise**2)
+def _gap(seen: FloatArray, rebuilt: FloatArray, noise: float) -> float:
+    """Return the root mean square difference beyond the noise, over the motion."""
+    difference = np.mean((seen - rebuilt) ** 2) - noise
     motion = max(np.var(seen, axis=0).mean(), 1e-12)
     return float(np.sqrt(max(difference, 0.0) / motion))
 

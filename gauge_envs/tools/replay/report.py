@@ -13,10 +13,10 @@ from scipy.interpolate import make_interp_spline
 
 from gauge_envs.pages.document import Document, Paragraph, Part, Tone
 from gauge_envs.pages.table import Column, Table
-from gauge_envs.tools.replay.causes import Cause, candidates
+from gauge_envs.tools.replay.causes import ZERO, Cause, candidates
 from gauge_envs.tools.replay.conventions import find_conventions, fixed_base
 from gauge_envs.tools.replay.fit import THRESHOLDS, Fit, Interval, Problem
-from gauge_envs.tools.replay.log import FloatArray, Log, LogMap, read_log
+from gauge_envs.tools.replay.log import FloatArray, Log, LogMap
 from gauge_envs.tools.replay.model import (
     UNLIMITED,
     Replayer,
@@ -27,8 +27,13 @@ from gauge_envs.tools.replay.model import (
     quiet_engine,
     uses_degrees,
 )
-from gauge_envs.tools.replay.observation import check_observation
+from gauge_envs.tools.replay.observation import (
+    check_policy,
+    compare_commands,
+    load_policy,
+)
 from gauge_envs.tools.replay.paste import Change
+from gauge_envs.tools.replay.readers import read_log
 from gauge_envs.tools.replay.schema import (
     Explained,
     ExplanationLine,
@@ -79,6 +84,7 @@ def replay(
     against: Path | None = None,
     mapped: LogMap | None = None,
     advance: Callable[[str], None] = lambda _: None,
+    policy: Path | None = None,
 ) -> ReplayResult:
     """Return what explains the difference between a log and a model, or between two logs.
 
@@ -88,13 +94,14 @@ def replay(
         against: The second log, which is explained.
         mapped: Names, signs, units and gains.
         advance: Called with the name of each cause.
+        policy: The policy that drove the robot, in ONNX or TorchScript.
 
     Raises:
         FileError: A file cannot be used.
         ParameterError: The log and the model do not go together.
     """
     given = mapped or LogMap()
-    compiled = load_model(model)
+    compiled = load_model(model, given.control)
     names = joint_names(compiled)
 
     def read(changed: LogMap) -> Log:
@@ -128,12 +135,12 @@ def replay(
                 logs, explanation, _ = other
         mistakes += fixed_base(logs[-1], compiled)
         line = _line(logs, model.name, explanation, mistakes)
-    policy = tuple(
-        check_observation(
-            logs[-1], mapped, home_pose(compiled, logs[-1], mapped.control)
-        )
-    )
-    if policy and not mistakes:
+    home = home_pose(compiled, logs[-1], mapped.control)
+    run = load_policy(policy) if policy else None
+    differences = tuple(check_policy(logs[-1], mapped, home, run))
+    if against is not None and not differences:
+        differences = tuple(compare_commands(*logs))
+    if differences and not mistakes:
         line = replace(line, verdict=ReplayVerdict.POLICY)
     problem = explanation.problem
     named = explanation.change if line.named else None
@@ -145,7 +152,9 @@ def replay(
         given=given,
         mapped=mapped,
     )
-    line = replace(line, policy=policy)
+    if [each.cause for each in line.named] == [ZERO]:
+        line = replace(line, verdict=ReplayVerdict.LOG)
+    line = replace(line, policy=differences)
     line = replace(line, sentence=_sentence(line), paste=change.lines())
     return ReplayResult(line, problem, explanation.change)
 
@@ -324,8 +333,7 @@ def _text(cause: Cause, label: str, values: Sequence[Value], step_s: float) -> s
 def _sentence(line: ExplanationLine) -> str:
     """Return the answer: mistakes of the log, what is missing in the model, and what is left."""
     parts = [f"The log is wrong: {text}." for text in line.mistakes]
-    parts += [f"The policy sees {text}." for text in line.policy]
-    return " ".join([*parts, *_physics(line)])
+    return " ".join([*parts, *line.policy, *_physics(line)])
 
 
 def _physics(line: ExplanationLine) -> Iterator[str]:
@@ -351,9 +359,11 @@ def _physics(line: ExplanationLine) -> Iterator[str]:
         return
     texts = " and ".join(each.text for each in line.named)
     verb = "explain" if len(line.named) > 1 else "explains"
+    is_log = line.verdict is ReplayVerdict.LOG and not line.mistakes
+    start = "The log is wrong: " if is_log else texts[0].upper()
     yield (
-        f"{texts[0].upper()}{texts[1:]} {verb} {_percent(line.named[0].share)} %: {trial.horizon_s:g} s prediction of "
-        f"{trial.joint} {_milli(trial.before)} to {_milli(trial.after)} {trial.unit}."
+        f"{start}{texts if is_log else texts[1:]} {verb} {_percent(line.named[0].share)} %: {trial.horizon_s:g} s "
+        f"prediction of {trial.joint} {_milli(trial.before)} to {_milli(trial.after)} {trial.unit}."
     )
     if times > 2.0:
         yield f"{times:.0f} times the noise is left; nothing in the list explains that."

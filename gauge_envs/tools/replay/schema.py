@@ -132,7 +132,7 @@ class ExplanationLine:
         baseline_over_noise: The same for the first of two logs.
         findings: What the logs do not tell.
         mistakes: What is wrong in the logs; each is corrected where it can be.
-        policy: Terms of the observation that differ from the state.
+        policy: In what observation and action differ from state and command, a sentence each.
         trial: Predictions before and after the change.
         joints: A row a joint.
         candidates: Causes alone, the best first.

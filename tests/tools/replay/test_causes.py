@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from planted_arm import ARM, CART_POLE, SERVO, record
 
-from gauge_envs.tools.replay import ReplayVerdict, replay
+from gauge_envs.tools.replay import ReplayVerdict, read_log, replay
 from gauge_envs.tools.replay.fit import Problem
-from gauge_envs.tools.replay.log import ControlMap, read_log
+from gauge_envs.tools.replay.log import ControlMap
 from gauge_envs.tools.replay.model import Replayer, build_setup, load_model
 from gauge_envs.tools.replay.report import replay_document
 

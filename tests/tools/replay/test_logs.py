@@ -210,7 +210,7 @@ DRIVE = '<position joint="elbow" kp="20" kv="0.8"/>'
     [
         ({"joints": ["shoulder", "wrist"]}, "wrist: the model has no such joint"),
         ({"joints": ["elbow", "elbow"]}, "q: a second column of elbow"),
-        ({"t": 20.0 * np.arange(400)}, "the next time is 20 s later"),
+        ({"t": -0.02 * np.arange(400)}, "the next time is -0.02 s later"),
         ({"q": np.zeros((399, 2))}, "position: 399 rows, but 400 times"),
         ({"q": np.full((400, 2), np.nan)}, "position: 0 rows with numbers"),
         ({"q": np.full((400, 2), "x")}, "q: expected numbers: .*'x'"),
