@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 from gauge_envs.tools.conformance.model import CheckResult, Status
@@ -15,11 +16,20 @@ class _Cause(NamedTuple):
         text: The cause.
         fails: Checks that all fail, unless they are unsupported; one of them must have run.
         passes: Checks that do not fail.
+        value: Value of each failing check within 2 %, or None for any.
     """
 
     text: str
     fails: Sequence[str]
     passes: Sequence[str] = ()
+    value: float | None = None
+
+    def fits(self, measured: Iterable[float | None]) -> bool:
+        """Return whether the failing checks have its value."""
+        value = self.value
+        return value is None or all(
+            math.isclose(each or 0.0, value, rel_tol=0.02) for each in measured
+        )
 
 
 CAUSES = (
@@ -49,9 +59,29 @@ CAUSES = (
         ["glide-speed", "free-fall"],
     ),
     _Cause(
+        "bodies of several parts have another inertia or another frame of it",
+        ["spin-momentum", "inertia"],
+        ["glide-speed", "wrench-force"],
+    ),
+    _Cause(
+        "apply_wrench takes the torque in another frame, as that of the body",
+        ["inertia", "stated-inertia"],
+        ["wrench-force", "spin-momentum"],
+    ),
+    _Cause(
+        "reset() leaves forces, contacts or warm starts of the run before",
+        ["reset-course", "worlds-single", "worlds-reset"],
+        ["determinism"],
+    ),
+    _Cause(
         "friction is a pyramid in scenes of many bodies only, by a preset or a solver for them",
         ["slide-crowd"],
         ["pucks-friction", "slide"],
+    ),
+    _Cause(
+        "friction is a pyramid in place of a cone: it is 0.71 times its value between its axes",
+        ["slide-crowd", "pucks-friction", "slide"],
+        value=0.707,
     ),
     _Cause(
         "friction is a pyramid in place of a cone, or differs between directions",
@@ -78,6 +108,11 @@ CAUSES = (
         ["free-fall"],
     ),
     _Cause(
+        "bodies do not rebound below a threshold of speed",
+        ["rebound-slow"],
+        ["rebound-0.5"],
+    ),
+    _Cause(
         "contacts yield under many or heavy bodies; light single ones are right",
         ["tower-stands", "mass-ratio"],
         ["rest-heights"],
@@ -95,6 +130,7 @@ def likely_causes(results: Sequence[CheckResult]) -> list[str]:
     """Return the causes that explain several results, each with the checks that fail and pass by it."""
     status = {result.check: result.status for result in results}
     bad = {result.check for result in results if result.is_bad}
+    measured = {result.check: result.measured for result in results}
     left = set(bad)
     texts = []
     for cause in CAUSES:
@@ -105,6 +141,8 @@ def likely_causes(results: Sequence[CheckResult]) -> list[str]:
         }
         right = [name for name in cause.passes if status.get(name) is Status.PASS]
         if not ran or not ran <= left or not bad.isdisjoint(cause.passes):
+            continue
+        if not cause.fits(measured[name] for name in ran):
             continue
         proof = f"fails: {', '.join(sorted(ran))}"
         proof += f"; passes: {', '.join(right)}" if right else ""

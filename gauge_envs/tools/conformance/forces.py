@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from gauge_envs.fixtures.parts import box, contact, fixed_box, thrown
+from gauge_envs.fixtures.parts import ball, box, contact, fixed_box, thrown
 from gauge_envs.fixtures.recording import Recording, UnsupportedError, record
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2 as G,
@@ -44,7 +44,7 @@ def _push(lab: Lab, bodies: Sequence[RigidBody]) -> Recording:
 
 
 def _pushed(lab: Lab) -> Recording:
-    return _push(lab, solids(lab))
+    return _push(lab, [*solids(lab), ball("grain", (0.1, 0.1, 0.1), radius_m=4e-3)])
 
 
 def _gained(rollout: Recording, name: str) -> FloatArray:
@@ -63,7 +63,7 @@ def _gained(rollout: Recording, name: str) -> FloatArray:
     optional=True,
 )
 def wrench_force(lab: Lab) -> Measurement:
-    """Floating turned solids of 0.1 g to 100 kg; each gets a torque and a force of 0.1 N for each kg.
+    """Floating turned solids of 0.1 g to 100 kg, and a heavy ball of 8 mm; each gets a torque and a force of 0.1 N for each kg.
 
     Distance of the acceleration of the centre of mass in 0.1 s from the law, over that by the law.
 

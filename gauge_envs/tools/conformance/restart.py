@@ -116,6 +116,14 @@ TUMBLING: dict[str, Any] = {
 }
 
 
+RESTING = Scene(
+    bodies=(box("block", (0.0, 0.0, 0.015), BRICK_M), ground()),
+    contacts=(contact("block", "ground", friction=0.4),),
+    duration_s=0.5,
+)
+"""A block at rest, whose contacts bear forces when a run ends."""
+
+
 def widest(lab: Lab, *parts: Mapping[str, Any]) -> Scene:
     """Return a scene with a thrown stick and all parts that the engine can build."""
     scene = lab.in_any_shape(Scene(bodies=(STICK,), duration_s=0.5))
@@ -188,7 +196,7 @@ SEEDS = (0, 1, 2, 0, 1)
 def _again(lab: Lab) -> list[tuple[Recording, list[Recording]]]:
     """Return the states of scenes before their first reset, and their runs with `SEEDS`."""
     many = []
-    for scene in (lively(lab), *lab.once(cloths)):
+    for scene in (lively(lab), RESTING, *lab.once(cloths)):
         runs: list[Recording] = []
         with closing(lab.build(scene)) as simulation:
             built = record(simulation, scene, 0.0)
