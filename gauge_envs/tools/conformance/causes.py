@@ -60,7 +60,7 @@ CAUSES = (
     ),
     _Cause(
         "apply_wrench acts on another body than the named one",
-        ["wrench-force", "inertia"],
+        ["wrench-force", "inertia", "pendulum-energy"],
         ["worlds-wrench"],
     ),
     _Cause(

@@ -73,11 +73,15 @@ def wrench_force(lab: Lab) -> Measurement:
     Source: Newton; contract (Simulation.apply_wrench).
     """
     rollout = lab.once(_pushed)
-    cases = {}
+    errors, mistakes = {}, {}
     for at, each in enumerate(rollout.scene.bodies):
-        off = length_of(_gained(rollout, each.name) / 0.1 - np.roll(DIRECTION, at))
-        cases[f"the acceleration of the {each.mass_kg:g} kg {each.name}"] = off
-    return largest(cases)
+        gained, law = _gained(rollout, each.name) / 0.1, np.roll(DIRECTION, at)
+        case = f"the acceleration of the {each.mass_kg:g} kg {each.name}"
+        errors[case] = length_of(gained - law)
+        share = float(gained @ law)
+        mass = f"its mass is {1.0 / (share or np.nan):.3g} times that of the scene"
+        mistakes[case] = {mass: length_of(gained - share * law)}
+    return largest(errors, mistakes=mistakes)
 
 
 # --- inertia ---------------------------------------------------------------------------------------------------------
