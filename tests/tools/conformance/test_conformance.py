@@ -99,7 +99,7 @@ def test_a_cause_needs_the_results_of_all_checks():
     )
     torques = causes("inertia", "stated-inertia", "worlds-wrench")
     assert torques[0].startswith("apply_wrench takes the torque in another frame")
-    pushes = causes("inertia", "stated-inertia", "wrench-force")
+    pushes = causes("inertia", "pendulum-energy", "wrench-force")
     assert pushes[0].startswith("apply_wrench acts on another body")
     slow = causes("volley", "rebound-slow")
     assert slow[0].startswith("bodies do not rebound below a threshold")
