@@ -449,7 +449,6 @@ def rest_error(
 
 STRIKE: dict[str, Any] = {
     "law": "m v + M w = const",
-    "revision": 2,
     "tolerance": Tolerance(
         "no force acts from outside; a mesh has the mass at its nodes to 1 %",
         relative=0.01,
