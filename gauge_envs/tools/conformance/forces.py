@@ -193,7 +193,8 @@ def contact_force(lab: Lab) -> Measurement:
             simulation.advance(SAMPLE_INTERVAL_S)
             forces.append(signs * read()[0] / BRICK_KG)
     law = np.diff(speeds, axis=0) / SAMPLE_INTERVAL_S + [0.0, 0.0, G]
-    off = [np.subtract(forces[:-1], law * row) for row in (1.0, *MISTAKES.values())]
+    rows = [(1.0, 1.0, 1.0), *MISTAKES.values()]
+    off = [np.subtract(forces[:-1], law * row) for row in rows]
     shares = np.linalg.norm(off, axis=3).max(axis=1)
     shares /= np.linalg.norm(law, axis=2).max(axis=0)
     errors, mistakes = {}, {}
