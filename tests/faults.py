@@ -15,6 +15,7 @@ from gauge_envs.scene import (
     Capsule,
     Compound,
     Contact,
+    Cylinder,
     Hinge,
     Motion,
     Plane,
@@ -212,6 +213,14 @@ def _hovers(body: RigidBody) -> RigidBody:
     return replace(body, shape=Box(size_m=size_m))
 
 
+def _water_below_1_cm3(body: RigidBody) -> RigidBody:
+    """Give a body below 1 cm^3 the density of water."""
+    volume_m3 = body.shape.volume_m3
+    if body.motion is not Motion.DYNAMIC or volume_m3 > 1e-6:
+        return body
+    return replace(body, mass_kg=1000.0 * volume_m3)
+
+
 def _odd_tile_high(body: RigidBody) -> RigidBody:
     """Raise every second tile of a floor by 0.3 mm."""
     if not body.name.endswith(("tile 1", "tile 3", "tile 5")):
@@ -241,6 +250,62 @@ class _SpinGrows(Planted):
         if not self.given.contacts and not self.given.joints:
             spins = self.data.qvel.reshape(-1, 6)[:, 3:]
             spins *= 1.0 + 1.5e-3 * seconds
+
+
+class _TurnsAsItSlides(Planted):
+    """Turn sliding boxes about their normal by 0.3 rad/s^2, as friction that acts on one contact after the other."""
+
+    def advance(self, seconds):
+        super().advance(seconds)
+        for body in self.given.dynamic_bodies:
+            rates = self.data.joint(body.name).qvel
+            is_free_box = isinstance(body.shape, Box) and len(rates) == 6
+            if is_free_box and self.data.ncon and np.hypot(*rates[:2]) > 0.05:
+                rates[5] += 0.3 * seconds
+
+
+class _LyingCylindersRock(Planted):
+    """Kick cylinders to and fro about the vertical to their axis, as one contact that jumps between its ends."""
+
+    sign = 1.0
+
+    def advance(self, seconds):
+        super().advance(seconds)
+        self.sign = -self.sign
+        for body in self.given.dynamic_bodies:
+            if isinstance(body.shape, Cylinder) and self.data.ncon:
+                self.data.joint(body.name).qvel[3] += 0.05 * self.sign
+
+
+class _TorqueInBodyFrame(Planted):
+    def apply_wrench(self, body, wrenches):
+        wrenches = np.array(wrenches)
+        frame = self.data.body(body).xmat.reshape(3, 3)
+        wrenches[:, 3:] = wrenches[:, 3:] @ frame.T
+        super().apply_wrench(body, wrenches)
+
+
+class _FrictionReversed(Planted):
+    """Report contact forces on level bodies with the other sign of friction."""
+
+    def contact_forces(self, pairs):
+        read = super().contact_forces(pairs)
+        return lambda: read() * [-1.0, -1.0, 1.0]
+
+
+class _KeepsImpulses(Planted):
+    """Start a run with a share of the contact impulses of the run before."""
+
+    kept = 0.0
+
+    def reset(self, starts=None, seed=0):
+        self.kept = self.data.qfrc_constraint.copy()
+        super().reset(starts, seed)
+
+    def advance(self, seconds):
+        self.data.qvel[:] += 1e-2 * self.kept
+        self.kept = 0.0
+        super().advance(seconds)
 
 
 class _OneStepACall(Planted):
@@ -670,6 +735,36 @@ FAULTS = {
         caught_by="tumble-long",
         says="the gyroscopic term is missing",
         simulation=_SpinGrows,
+    ),
+    "sliding boxes turn": Fault(
+        caught_by="slide-straight",
+        says="friction acts unevenly",
+        simulation=_TurnsAsItSlides,
+    ),
+    "lying cylinders rock": Fault(
+        caught_by="rest-still",
+        says="so that bodies rock or roll",
+        simulation=_LyingCylindersRock,
+    ),
+    "the mass of small bodies is ignored": Fault(
+        caught_by="wrench-force",
+        says="the acceleration of the 0.1 kg grain",
+        scene=change_bodies(_water_below_1_cm3),
+    ),
+    "torques in the body frame": Fault(
+        caught_by="inertia",
+        says="or a torque otherwise",
+        simulation=_TorqueInBodyFrame,
+    ),
+    "contact forces with reversed friction": Fault(
+        caught_by="contact-force",
+        says="its friction has the other sign",
+        simulation=_FrictionReversed,
+    ),
+    "contact impulses survive a reset": Fault(
+        caught_by="reset-course",
+        says="reset() leaves something behind",
+        simulation=_KeepsImpulses,
     ),
 }
 """Faults by name."""

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from contextlib import closing, suppress
 from itertools import product
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -287,14 +287,6 @@ def worlds_wrench(lab: Lab) -> Measurement:
     return ratio(ratios, "the gain of velocity")
 
 
-class _Run(NamedTuple):
-    """Numbers of the initial states of worlds, other initial states, and wrenches on the stick."""
-
-    numbers: Sequence[int]
-    initial_states: FloatArray | None = None
-    wrenches: FloatArray | None = None
-
-
 @check(
     "worlds-neighbours",
     title="worlds do not feel their neighbours",
@@ -314,15 +306,16 @@ def worlds_neighbours(lab: Lab) -> Measurement:
     wrenches, fast = np.zeros((5, 6)), _initial_states(scene, numbers)
     wrenches[changed] = [0.3, -0.2, 0.4, 0.001, 0.002, -0.003]
     fast[changed, 0, 7] = 1e12
-    cases = {
-        "start and move otherwise": _Run((9, 1, 11, 3, 13)),
-        "are pushed": _Run(numbers, wrenches=wrenches),
-        "diverge": _Run(numbers, fast),
-        "have diverged": _Run(numbers),
+    cases: dict[str, tuple[Any, ...]] = {
+        # Numbers of initial states, other initial states, and wrenches on the stick.
+        "start and move otherwise": ((9, 1, 11, 3, 13),),
+        "are pushed": (numbers, None, wrenches),
+        "diverge": (numbers, fast),
+        "have diverged": (numbers,),
     }
     errors, mistakes = {}, {}
     with aside(), lab.running(scene, 5) as five:
-        before = _course(five, scene, *_Run(numbers))[:, watched]
+        before = _course(five, scene, numbers)[:, watched]
         for what, run in cases.items():
             with suppress(UnsupportedError):
                 courses = _course(five, scene, *run)[:, watched]

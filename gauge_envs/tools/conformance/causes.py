@@ -24,6 +24,11 @@ class _Cause(NamedTuple):
 
 CAUSES = (
     _Cause(
+        "contacts beyond a limit of their number are dropped",
+        ["contact-listed", "wall", "tower-stands"],
+        ["slide", "hold"],
+    ),
+    _Cause(
         "pairs collide that Scene.contacts does not list, or listed pairs pass; failures of friction, rest and impacts "
         "may follow from it",
         ["contact-listed"],
@@ -49,6 +54,26 @@ CAUSES = (
         ["glide-speed", "free-fall"],
     ),
     _Cause(
+        "bodies of several parts have another inertia or another frame of it",
+        ["spin-momentum", "inertia"],
+        ["glide-speed", "wrench-force"],
+    ),
+    _Cause(
+        "apply_wrench acts on another body than the named one",
+        ["wrench-force", "inertia", "pendulum-energy"],
+        ["worlds-wrench"],
+    ),
+    _Cause(
+        "apply_wrench takes the torque in another frame, as that of the body",
+        ["inertia", "stated-inertia"],
+        ["wrench-force", "spin-momentum"],
+    ),
+    _Cause(
+        "reset() leaves forces, contacts or warm starts of the run before",
+        ["reset-course", "worlds-single", "worlds-reset"],
+        ["determinism"],
+    ),
+    _Cause(
         "friction is a pyramid in scenes of many bodies only, by a preset or a solver for them",
         ["slide-crowd"],
         ["pucks-friction", "slide"],
@@ -56,7 +81,7 @@ CAUSES = (
     _Cause(
         "friction is a pyramid in place of a cone, or differs between directions",
         ["slide-crowd", "pucks-friction"],
-        ["slide", "hold"],
+        ["carry-slip"],
     ),
     _Cause(
         "friction differs from Contact.friction everywhere",
@@ -78,9 +103,19 @@ CAUSES = (
         ["free-fall"],
     ),
     _Cause(
+        "bodies do not rebound below a threshold of speed",
+        ["rebound-slow"],
+        ["rebound-0.5"],
+    ),
+    _Cause(
         "contacts yield under many or heavy bodies; light single ones are right",
         ["tower-stands", "mass-ratio"],
         ["rest-heights"],
+    ),
+    _Cause(
+        "worlds of a batch act on each other by contacts or forces",
+        ["worlds-single", "worlds-neighbours", "worlds-wrench"],
+        ["determinism", "wrench-force"],
     ),
     _Cause(
         "a world of a batch differs from the same scene alone",

@@ -468,7 +468,10 @@ STRUCK = 9
 def momentum_ratio(
     lab: Lab, bodies: Sequence[Deformable], duration_s: float
 ) -> Measurement:
-    """Measure the momentum of bodies and of the blocks that strike them, over the initial momentum of the blocks."""
+    """Measure the momentum of bodies and of the blocks that strike them, over the initial momentum of the blocks.
+
+    Momentum sideways adds to 1.
+    """
     struck, blocks = [], []
     for number, body in enumerate(bodies):
         speed_m_per_s, share = STRIKES[number % 3]
@@ -488,10 +491,10 @@ def momentum_ratio(
     ratios = {}
     for body, block in zip(struck, blocks, strict=True):
         speed_m_per_s = block.linear_velocity_m_per_s[2]
-        block_m = rollout.displacement(block.name)[:, 2]
+        block_m = rollout.displacement(block.name)
         nodes_m = rollout.nodes_m[body.name]
-        moved_m = (nodes_m - nodes_m[0])[:, :, 2]
-        ahead_m = block_m[-1] - moved_m[-1].mean()
+        moved_m = nodes_m - nodes_m[0]
+        ahead_m = block_m[-1, 2] - moved_m[-1, :, 2].mean()
         if ahead_m / speed_m_per_s > 0.5 * duration_s:
             return Measurement(
                 measured=math.nan,
@@ -499,7 +502,9 @@ def momentum_ratio(
                 hint=f"the block passes through {body.name}",
                 cause="the pair has no contact",
             )
-        moment = moved_m @ node_masses_kg(body, nodes_m[0]) + block.mass_kg * block_m
+        moment = node_masses_kg(body, nodes_m[0]) @ moved_m + block.mass_kg * block_m
         momentum = (moment[-1] - moment[STRUCK]) / seconds
-        ratios[body.name] = momentum / (block.mass_kg * speed_m_per_s)
+        x, y, z = momentum / (block.mass_kg * speed_m_per_s)
+        ratios[body.name] = z
+        ratios[f"{body.name}, sideways"] = 1.0 + np.hypot(x, y)
     return ratio(ratios, "the momentum")

@@ -5,7 +5,7 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from gauge_envs.errors import ParameterError, UnknownNameError
 from gauge_envs.reading import reading
@@ -13,13 +13,6 @@ from gauge_envs.text import toml_document
 from gauge_envs.tools.conformance.catalog import checks
 from gauge_envs.tools.conformance.model import CheckResult, Status
 from gauge_envs.tools.conformance.results import read_columns
-
-
-class Expectation(Protocol):
-    """Results that are expected."""
-
-    def difference(self, result: CheckResult) -> str | None:
-        """Return how a result differs from the expected result, in words; None if it does not."""
 
 
 def has_moved(earlier: float | None, result: CheckResult) -> bool:
@@ -190,6 +183,10 @@ def read_baseline(
         for check, result in column.results.items()
     }
     return StoredBaseline(results=results)
+
+
+Expectation = KnownFailures | StoredBaseline
+"""Results that are expected."""
 
 
 def expectation_of(

@@ -30,7 +30,7 @@ from gauge_envs.scoring.estimators import (
     mean_period_s,
     pendulum_period_s,
 )
-from gauge_envs.tools.conformance.free_motion import ZERO, centre_m
+from gauge_envs.tools.conformance.free_motion import ZERO, centre_m, kinetic_energies
 from gauge_envs.tools.conformance.lab import Lab, Measurement, largest, ratio
 from gauge_envs.tools.conformance.model import Checks, Level, Tolerance
 
@@ -92,12 +92,9 @@ def _pendulums(lab: Lab) -> list[dict[str, float]]:
             radii[f"the arm of the {name}"] = 1e3 * float(off_m)
             _, tensor = mass_properties(shape, 1.0)
             spins = rollout.angular_velocity(each.name)
-            centres = path - rollout.position(each.name)
-            speeds = rollout.velocity(each.name) + np.cross(spins, centres)
             inner = each.pose.matrix.T @ axis
             gyration_m = float(np.sqrt(inner @ tensor @ inner))
-            turning = (gyration_m * spins @ axis) ** 2
-            energy = 0.5 * ((speeds**2).sum(axis=1) + turning)
+            energy = kinetic_energies(rollout, each)
             # A body at rest gives NaN, which fails.
             scale = energy.max() or np.nan
             energy += G * path[:, 2]

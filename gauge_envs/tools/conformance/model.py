@@ -166,7 +166,8 @@ class CheckResult:
         expected: Value of the closed form; None when nothing was measured.
         measured: The measured value; None when nothing was measured. Infinity and NaN fail.
         width: Largest admissible difference; None when nothing was measured.
-        diagnosis: Meaning of a failure and its most likely cause, or the text of the exception; empty otherwise.
+        diagnosis: Meaning of a failure and its most likely cause, the text of the exception, or the hint of a narrow
+            pass; empty otherwise.
         missing: Features that the engine lacks, if the check is unsupported.
         rejects_settings: Whether the check is unsupported since the engine rejects the settings.
         settings: Effective numerical settings in the last scene of the check.
@@ -197,11 +198,11 @@ class CheckResult:
         return self.status in (Status.FAIL, Status.ERROR)
 
     @property
-    def share_of_width(self) -> float:
-        """Difference from the expected value over the tolerance; 0 if nothing was measured or a count is right."""
-        if self.measured is None or self.expected is None or not self.width:
-            return 0.0
-        return abs(self.measured - self.expected) / self.width
+    def is_narrow(self) -> bool:
+        """Whether it passes with more than nine tenths of the tolerance."""
+        if self.status is not Status.PASS or not self.width:
+            return False
+        return abs((self.measured or 0.0) - (self.expected or 0.0)) > 0.9 * self.width
 
     def to_dict(self) -> dict[str, Any]:
         """Return the result and the texts of its check, JSON-ready; a number that is not finite becomes null."""

@@ -16,7 +16,6 @@ from gauge_envs.fixtures.drop import (
 from gauge_envs.fixtures.parts import (
     ball,
     box,
-    box_inertia_kg_m2,
     contact,
     fixed_box,
     ground,
@@ -25,6 +24,7 @@ from gauge_envs.fixtures.parts import (
 from gauge_envs.fixtures.recording import Recording
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G, Contact, Vector
 from gauge_envs.scene.geometry import FloatArray, vector
+from gauge_envs.tools.conformance.free_motion import kinetic_energies
 from gauge_envs.tools.conformance.impact import WEIGHTLESS
 from gauge_envs.tools.conformance.lab import Lab, Measurement, largest, ratio
 from gauge_envs.tools.conformance.model import Checks, Level, Tolerance
@@ -311,8 +311,5 @@ def drop_energy(lab: Lab) -> Measurement:
 
 def _energy_gain_m(rollout: Recording, name: str) -> FloatArray:
     """Return the energy of a cube over its weight, less that at the start [m], shape [sample_count]."""
-    cube = rollout.scene.body(name)
-    spin = rollout.rotation(name).apply(rollout.angular_velocity(name), inverse=True)
-    squares = np.square(rollout.velocity(name)).sum(axis=1)
-    squares += spin**2 @ box_inertia_kg_m2(cube) / cube.mass_kg
-    return squares / (2.0 * G) + rollout.displacement(name)[:, 2]
+    energies = kinetic_energies(rollout, rollout.scene.body(name))
+    return energies / G + rollout.displacement(name)[:, 2]

@@ -29,9 +29,6 @@ STYLES = {Status.PASS: "green", Status.FAIL: "bold red", Status.ERROR: "bold red
 
 NOT_IN_RIGID = "No level says anything of motors, limits, springs and friction of joints, which scenes do not have."
 
-NEAR = 0.9
-"""Share of a tolerance above which a pass is reported with both numbers."""
-
 MAX_FAILURES = 6
 """Largest number of failures of one engine on a screen, each with its cause."""
 
@@ -129,8 +126,9 @@ def _notes(
     if len(failures) > MAX_FAILURES:
         yield f"{len(failures) - MAX_FAILURES} more failures: see --format wide"
     for result in results:
-        if result.status is Status.PASS and result.share_of_width > NEAR:
-            yield f"Narrow pass: {result.check} is {_measured_text(result)} for {expected_text(result)}"
+        if result.is_narrow:
+            text = f"Narrow pass: {result.check} is {_measured_text(result)} for {expected_text(result)}"
+            yield "; ".join(filter(None, (text, result.diagnosis)))
     reasons = Counter(
         "; ".join(result.missing)
         for result in results

@@ -126,14 +126,16 @@ def _judged(result: CheckResult, measurement: Measurement) -> CheckResult:
     if width is None:
         width = result.of.tolerance.width(expected)
     passed = math.isfinite(measured) and abs(measured - expected) <= width
-    return replace(
+    judged = replace(
         result,
         status=Status.PASS if passed else Status.FAIL,
         expected=expected,
         measured=measured,
         width=width,
-        diagnosis="" if passed else _diagnosis(measurement, result.of.cause),
     )
+    if passed:
+        return replace(judged, diagnosis=measurement.hint if judged.is_narrow else "")
+    return replace(judged, diagnosis=_diagnosis(measurement, result.of.cause))
 
 
 def _diagnosis(measurement: Measurement, usual_cause: str) -> str:

@@ -269,6 +269,30 @@ def slide_between(lab: Lab) -> Measurement:
     return _frictions(lab.once(_boxes), ["cube on the slab"])
 
 
+@check(
+    "slide-straight",
+    title="a cube that slides does not turn about the normal",
+    law="R = const about the normal",
+    unit="mm",
+    tolerance=Tolerance("half the scatter of the real trials", absolute=0.5),
+    cause="friction acts unevenly on the contact points of a face: some come first, or iterations are few",
+)
+def slide_straight(lab: Lab) -> Measurement:
+    """The cubes of `slide`, whose faces are square to their way.
+
+    Largest displacement of a point 50 mm from the middle of a cube by its turn about the normal within 0.5 s.
+
+    Source: Coulomb; the motion is symmetric.
+    """
+    rollout = lab.once(_boxes)
+    turned_mm = {}
+    for name in SLIDING:
+        turns = rollout.rotation(name)
+        turned = (turns[0].inv() * turns).as_rotvec()[:, 2]
+        turned_mm[name] = 50.0 * float(np.abs(turned).max())
+    return largest(turned_mm, "mm")
+
+
 # --- spins and rolls -------------------------------------------------------------------------------------------------
 
 SPIN_RAD_PER_S = 20.0

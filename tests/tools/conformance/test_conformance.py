@@ -35,7 +35,16 @@ def results_of(engine, *only):
 # --- planted mistakes ------------------------------------------------------------------------------------------------
 
 
-LONG = ("all worlds driven as the first", "a pressing force is ignored")
+LONG = (
+    "all worlds driven as the first",
+    "a pressing force is ignored",
+    "sliding boxes turn",
+    "lying cylinders rock",
+    "the mass of small bodies is ignored",
+    "torques in the body frame",
+    "contact forces with reversed friction",
+    "contact impulses survive a reset",
+)
 """Faults whose checks take a second or more."""
 
 
@@ -88,7 +97,13 @@ def test_a_cause_needs_the_results_of_all_checks():
     assert causes("slide-crowd")[0].startswith(
         "friction is a pyramid in scenes of many"
     )
-    directions = causes("slide-crowd", "pucks-friction")
+    torques = causes("inertia", "stated-inertia", "worlds-wrench")
+    assert torques[0].startswith("apply_wrench takes the torque in another frame")
+    pushes = causes("inertia", "pendulum-energy", "wrench-force")
+    assert pushes[0].startswith("apply_wrench acts on another body")
+    slow = causes("volley", "rebound-slow")
+    assert slow[0].startswith("bodies do not rebound below a threshold")
+    directions = causes("slide-crowd", "pucks-friction", "slide")
     assert directions[0].startswith("friction is a pyramid in place of a cone")
 
 
