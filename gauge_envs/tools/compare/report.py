@@ -42,9 +42,9 @@ NAME = Column("name", "experiment")
 REFERENCE = Column("kind", "reference", place=Place.HEADING)
 
 INTERVAL_NOTE = (
-    "[low, high]: 95 % interval. +-: standard deviation of repeats (how many). *: does not solve the scene, or is "
-    "unlike reality. -: not run, or not published. no score: no reference scores it, or the measured "
-    "event did not happen."
+    "[low, high]: 95 % interval; about 90 % for slides of wood and plastic, which have trials far from the others. "
+    "+-: standard deviation of repeats (how many). *: does not solve the scene, or is unlike reality. -: not run, or "
+    "not published. no score: no reference scores it, or the measured event did not happen."
 )
 
 SCALE_NOTE = (
