@@ -326,3 +326,39 @@ def test_a_range_without_an_end_is_no_range_in_degrees(span, is_wrong, tmp_path)
     for low in (0, -0.5 * span, -span):
         text = ARM.format(**{**RIGHT, "range": f"{low} {low + span}"})
         assert ("range-unit" in flags_of(text, tmp_path)) is is_wrong
+
+
+SMALL = "<mujoco><worldbody>{}</worldbody>{}</mujoco>"
+
+
+@pytest.mark.parametrize("gas_kg_per_m3", [0.08, 0.12, 0.167, 0.21, 0.25])
+@pytest.mark.parametrize("lift", [1.5, 7.2])
+def test_a_body_lighter_than_air_floats_by_its_gravcomp(gas_kg_per_m3, lift, tmp_path):
+    body = '<body gravcomp="{}"><freejoint/><geom type="ellipsoid" size=".11 .1 .15" density="{}"/></body>'
+    for gravcomp in (0.0, 0.5, 1.0, lift):
+        xml = SMALL.format(body.format(gravcomp, gas_kg_per_m3), "")
+        assert density_of(tmp_path, xml).is_flag is (gravcomp < lift)
+
+
+@pytest.mark.parametrize("span", [0.3, 0.5, 1, 1.6, 2, 3, 4, 4.5, 5, 6])
+def test_a_small_range_looks_like_radians_in_a_file_of_degrees_alone(span, tmp_path):
+    for unit, per_degree in {"radian": 0.0174533, "degree": 1.0}.items():
+        arm = {**RIGHT, "angle": f'angle="{unit}"'}
+        high = span * per_degree
+        text = ARM.format(**{**arm, "range": f"{-0.2 * high} {high}"})
+        is_flag = "range-unit" in flags_of(text, tmp_path)
+        assert is_flag is (unit == "degree" and span < 5.5)
+
+
+@pytest.mark.parametrize("length_m", [0.02, 0.04, 0.07, 0.1, 0.15])
+@pytest.mark.parametrize("ratio", [-0.5, 1.0])
+def test_a_coupling_brakes_a_motion_without_damping(length_m, ratio, tmp_path):
+    link = f'<geom type="capsule" fromto="0 0 0 {length_m} 0 0" size=".008"/>'
+    bodies = f"""<body><joint name="near" axis="0 1 0"/>{link}
+      <body pos="{length_m} 0 0"><joint name="far" axis="0 1 0"/>{link}</body></body>"""
+    mimic = f'<equality><joint joint1="far" joint2="near" polycoef="0 {ratio} 0 0 0"/></equality>'
+    file = tmp_path / "robot.xml"
+    for coupling in ("", mimic):
+        file.write_text(SMALL.format(bodies, coupling))
+        report = check(str(file), only=["robot-energy"], explain=False)
+        assert ("robot-energy" in report.flags) is not bool(coupling)

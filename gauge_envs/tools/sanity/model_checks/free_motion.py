@@ -35,11 +35,10 @@ FLIGHT_S, OBJECT_RAD_PER_S, ROBOT_RAD_PER_S = 2.0, 2.0 * np.pi, 3.0
 """Time of a flight [s], and the spin of an object, one turn in a second, and of a robot with joints [rad/s]."""
 
 
-def _in_flight(model: mujoco.MjModel, *features: str) -> mujoco.MjModel:
-    """Return a copy with an exact solver, without contact, some features and air, and without brakes of free joints."""
+def _in_flight(model: mujoco.MjModel, feature: str) -> mujoco.MjModel:
+    """Return a copy with an exact solver, without contact, a feature and air, and without brakes of free joints."""
     flying = finer_solver(model)
-    for feature in ("contact", *features):
-        flying.opt.disableflags |= disable_bit(feature)
+    flying.opt.disableflags |= disable_bit("contact") | disable_bit(feature)
     flying.opt.density = flying.opt.viscosity = 0.0
     is_free = joints_of(model, "FREE")
     flying.jnt_stiffness[is_free] = 0.0
@@ -160,8 +159,9 @@ def energy(robot: Robot) -> Finding:
     leave_to(holds, robot)
     if (robot.model.actuator_plugin >= 0).any():
         raise NotApplicableError("plugins drive the joints")
-    bare = _in_flight(robot.model, "limit", "equality")
-    # MuJoCo's energy has no term for gravity compensation. Servos keep only their damping.
+    bare = _in_flight(robot.model, "limit")
+    bare.eq_active0[bare.eq_type != mujoco.mjtEq.mjEQ_JOINT] = 0
+    # MuJoCo's energy has no term for gravity compensation. Servos keep damping.
     bare.body_gravcomp[:] = 0.0
     bare.actuator_gainprm[:], bare.actuator_biasprm[:, :2] = 0.0, 0.0
     bare.actuator_forcerange[:] = [-1e9, 1e9]
@@ -171,8 +171,9 @@ def energy(robot: Robot) -> Finding:
         bare.dof_frictionloss,
         bare.actuator_biasprm[:, 2],
         bare.tendon_damping,
+        bare.eq_active0,
     )
-    is_undamped = not any(np.any(array) for array in brakes)
+    is_undamped = not any(map(np.any, brakes))
     time_s = seconds(bare, UNDAMPED_S if is_undamped else ENERGY_S)
     data, values = start_data(bare), []
     is_free = joints_of(bare, "FREE")[bare.dof_jntid]

@@ -136,15 +136,13 @@ def command_range(robot: Robot) -> Iterator[Fault]:
                 force, np.abs(model.actuator_ctrlrange[number]).max()
             ):
                 text += ": a position servo with the range of a motor"
-            right = "ctrlrange", np.sort(model.jnt_range[joint] / gain)
-            text += unit_text(ratio)
             yield Fault(
                 ("actuator", number),
                 name,
-                text,
+                text + unit_text(ratio),
                 max(lost, ratio),
                 reached == 0.0,
-                right,
+                ("ctrlrange", np.sort(model.jnt_range[joint] / gain)),
             )
 
 
@@ -186,10 +184,8 @@ def names(robot: Robot) -> Iterator[Fault]:
     joints = {model.joint(joint).name: joint for joint in range(model.njnt)}
     known = {*model.names.decode().split("\0")}
     for kind, number, owner_kind, owner in _references(model):
-        name, owner_name = (
-            getattr(model, kind)(number).name,
-            getattr(model, owner_kind)(owner).name,
-        )
+        name = getattr(model, kind)(number).name
+        owner_name = getattr(model, owner_kind)(owner).name
         if kind == "actuator" and name and joints.get(name, owner) != owner:
             text = f"actuator {name} drives joint {owner_name}, not joint {name}"
             yield Fault((kind, number), name, text, 2.0, True, ("joint", name))
@@ -204,27 +200,18 @@ def names(robot: Robot) -> Iterator[Fault]:
             yield Fault((kind, number), name, text)
 
 
-OBJECTS = {
-    "BODY": "body",
-    "XBODY": "body",
-    "JOINT": "joint",
-    "GEOM": "geom",
-    "SITE": "site",
-    "ACTUATOR": "actuator",
-    "TENDON": "tendon",
-}
+OBJECTS = ("body", "joint", "geom", "site", "actuator", "tendon")
 
 
 def _references(model: mujoco.MjModel) -> Iterator[tuple[str, int, str, int]]:
     """Yield elements and what they belong to: kind and id of both."""
-    acts = acts_on_joints(model)
-    for number in range(model.nu):
-        if acts[number]:
-            yield "actuator", number, "joint", int(model.actuator_trnid[number, 0])
+    for number in np.flatnonzero(acts_on_joints(model)).tolist():
+        yield "actuator", number, "joint", int(model.actuator_trnid[number, 0])
     for number in range(model.nsensor):
-        kind = mujoco.mjtObj(model.sensor_objtype[number]).name.removeprefix("mjOBJ_")
+        kind = mujoco.mjtObj(model.sensor_objtype[number]).name.lower()
+        kind = kind.removeprefix("mjobj_").removeprefix("x")
         if kind in OBJECTS:
-            yield "sensor", number, OBJECTS[kind], int(model.sensor_objid[number])
+            yield "sensor", number, kind, int(model.sensor_objid[number])
     for kind, bodies in {
         "joint": model.jnt_bodyid,
         "site": model.site_bodyid,
@@ -350,11 +337,9 @@ def mirror_axis(robot: Robot) -> Iterator[Fault]:
     """Yield hinges that are neither a copy nor the mirror image of the one on the other side."""
     model, data = robot.model, mujoco.MjData(robot.model)
     mujoco.mj_kinematics(model, data)
+    limited = joints_of(model, "HINGE") & (model.jnt_limited != 0)
     for left, right in mirrored(model, "joint"):
-        if (
-            not joints_of(model, "HINGE")[[left, right]].all()
-            or not model.jnt_limited[[left, right]].all()
-        ):
+        if not limited[[left, right]].all():
             continue
         if _same_turns(model, model.jnt_axis[left], model.jnt_axis[right], left, right):
             continue

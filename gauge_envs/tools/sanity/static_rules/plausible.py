@@ -55,21 +55,19 @@ def density(robot: Robot) -> Iterator[Fault]:
         np.clip(np.median([*lights.values()] or [0.0]) / 100.0, *LIGHT_KG_PER_M3)
     )
     for body, shape in shapes.items():
-        mass_kg, whole = (
-            model.body_mass[body],
-            model.body_subtreemass[model.body_rootid[body]],
-        )
-        name = name_of(model, "body", body)
+        mass_kg, name = model.body_mass[body], name_of(model, "body", body)
+        least_kg = MIN_SHARE * model.body_subtreemass[model.body_rootid[body]]
         dense, light = mass_kg / max(shape.box_m3, 1e-12), lights[body]
         is_object = int(model.body_treeid[body]) not in robot.driven_trees
         limit = POINT_KG_PER_M3 if is_object else LEAD_KG_PER_M3
-        if dense > limit and mass_kg > MIN_SHARE * whole:
+        if dense > limit and mass_kg > least_kg:
             text = f"{name} weighs {mass_kg:.3g} kg: {dense:,.0f} kg/m^3 in the box around it; lead has 12,000"
             yield Fault(("body", body), name, text, dense / limit)
         is_marker = (
             is_object and not solid_geoms(model)[model.geom_bodyid == body].any()
         )
-        if 0.0 < light < least and model.body_dofnum[body] and not is_marker:
+        is_light = 0.0 < light < least and model.body_gravcomp[body] <= 1.0
+        if is_light and model.body_dofnum[body] and not is_marker:
             text = f"{name} weighs {mass_kg:.3g} kg: {light:.2g} kg/m^3; foam has 30"
             yield Fault(("body", body), name, text, least / light)
 
@@ -120,9 +118,7 @@ def centre(robot: Robot) -> Iterator[Fault]:
     model = robot.model
     for body, shape in body_shapes(robot).items():
         point = model.body_ipos[body]
-        out_m = np.linalg.norm(
-            np.maximum(0.0, np.maximum(shape.low_m - point, point - shape.high_m))
-        )
+        out_m = np.linalg.norm(point - np.clip(point, shape.low_m, shape.high_m))
         size_m = np.linalg.norm(shape.high_m - shape.low_m)
         if out_m > MAX_AWAY * size_m:
             name = name_of(model, "body", body)
@@ -151,10 +147,8 @@ def mesh_mass(robot: Robot) -> Iterator[Fault]:
         )
         if not is_single or geom.parent.explicitinertial or np.isfinite(geom.mass):
             continue
-        exact_kg, mass_kg = (
-            geom.density * mesh_volume_m3(model, geom.id),
-            model.body_mass[body],
-        )
+        mass_kg = model.body_mass[body]
+        exact_kg = geom.density * mesh_volume_m3(model, geom.id)
         if mass_kg > MESH_SHARE * exact_kg:
             name = name_of(model, "body", body)
             text = f'{name} weighs {mass_kg:.3g} kg; density times volume is {exact_kg:.3g}: set inertia="exact"'
@@ -178,22 +172,23 @@ def range_unit(robot: Robot) -> Iterator[Fault]:
     model = robot.model
     driven = model.dof_jntid[robot.driven_dofs]
     limited = np.flatnonzero((model.jnt_limited != 0) & joints_of(model, "HINGE"))
+    in_degrees = robot.spec and robot.spec.compiler.degree
     for joint in limited.tolist():
         low, high = model.jnt_range[joint]
         name, span = name_of(model, "joint", joint), high - low
-        if MAX_TURNS * 2.0 * np.pi < span < ENDLESS_RAD:
-            text = f"{name} can turn {digits_text(span / (2.0 * np.pi))} times round: range {low:.4g} to {high:.4g} "
-            right = "range", np.deg2rad([low, high])
+        turns = span / (2.0 * np.pi)
+        if turns > MAX_TURNS and span < ENDLESS_RAD and not in_degrees:
+            text = f"{name} can turn {digits_text(turns)} times round: range {low:.4g} to {high:.4g} "
             text += "looks like degrees in a file of radians"
-            yield Fault(("joint", joint), name, text, span, True, right)
-        elif span < MIN_RANGE_RAD and joint in driven:
+            right = "range", np.deg2rad([low, high])
+        elif span < MIN_RANGE_RAD and joint in driven and in_degrees:
             low, high = np.rad2deg([low, high])
             text = f"{name} can turn by {np.rad2deg(span):.3g} degrees: range {low:.4g} to {high:.4g} "
-            right = "range", np.rad2deg([low, high])
             text += "looks like radians in a file of degrees"
-            yield Fault(
-                ("joint", joint), name, text, 1.0 / max(span, 1e-9), True, right
-            )
+            right, span = ("range", np.rad2deg([low, high])), 1.0 / max(span, 1e-9)
+        else:
+            continue
+        yield Fault(("joint", joint), name, text, span, True, right)
 
 
 MIN_STEPS = 20.0
