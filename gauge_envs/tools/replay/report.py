@@ -280,9 +280,9 @@ def _repeat(first: Log, second: Log) -> Sequence[float] | None:
 
 
 def _explained(problem: Problem, fit: Fit) -> list[Explained]:
-    """Return the causes of a fit as they are printed."""
+    """Return the causes of a fit as they are printed: by name, as the search may find either of two first."""
     explained, step_s = [], problem.replayer.log.command_interval_s
-    for interval in fit.intervals():
+    for interval in sorted(fit.intervals(), key=lambda each: each.cause.name):
         cause, values = interval.cause, fitted_values(interval)
         row = Explained(
             cause=cause.name,
