@@ -49,7 +49,7 @@ def replay(
             metavar="FILE",
         ),
     ] = None,
-    policy: Annotated[
+    policy_file: Annotated[
         Path | None,
         arguments.option(
             arguments.SCENE,
@@ -123,7 +123,7 @@ def replay(
             raise ParameterError("several logs need --fit, or a second --model")
         with Progress("causes", None) as progress:
             advance = progress.advance
-            result = explain(log[0], model[0], against, mapped, advance, policy)
+            result = explain(log[0], model[0], against, mapped, advance, policy_file)
         document, paste = replay_document(result.line), result.line.paste
         differs = result.verdict is not ReplayVerdict.NOISE
     print_document(document, form, files=files)
