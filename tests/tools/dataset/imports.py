@@ -10,10 +10,10 @@ from gauge_envs.tools.dataset.layout import find_trials
 IMPORTED = {"drivers": "imported", "reference": "imported"}
 
 
-def imported(root, *only):
-    """Import a dataset, and return the outcome of each variant."""
+def imported(root, *only, keep=False):
+    """Import a dataset, and return the outcome of each variant; `keep` is that of `import_trials`."""
     layout = find_trials(root, only=only or ("*",))
-    return {trials.variant.name: trials for trials in import_trials(layout)}
+    return {trials.variant.name: trials for trials in import_trials(layout, keep=keep)}
 
 
 def import_contents(root, name, contents):

@@ -240,7 +240,8 @@ def test_the_folders_of_all_75_experiments_are_read(tmp_path):
     for number, name in enumerate(names):
         amount = 1.0 + 1e-3 * number  # Copies count once, so trials must differ.
         write_synthetic(tmp_path, name, (amount, -amount))
-    outcomes = imported(tmp_path)
+    # Synthetic motions of two trials are far from the reference of some ids.
+    outcomes = imported(tmp_path, keep=True)
     assert list(outcomes) == names
     assert {(item.used, item.left_out) for item in outcomes.values()} == {(2, 0)}
 
