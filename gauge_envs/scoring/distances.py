@@ -240,7 +240,7 @@ def _from_exact(score: Score, motion: ComparedMotion) -> Score:
     from_trials = trajectory_rmse(exact, band.mean)
     if score.time_offset_s is not None:
         distance = distance_from_exact(solution, band, frames, score.time_offset_s)
-        # The same times as those of the motion, between which both shifts interpolate.
+        # Both shifts interpolate between the same samples.
         samples = band.project(solution(motion.times_s))
         _, from_trials = time_offset(motion.times_s, samples, band.mean)
     assert score.distance is not None and score.real_limit is not None, "as documented"

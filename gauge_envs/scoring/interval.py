@@ -36,7 +36,9 @@ def student_t(freedom: float, coverage: float = 0.95) -> float:
 
 
 SKEWNESS_FACTOR = 1.5
-"""Skewness of an exponential population over that of 20 values; a half-normal one has 1.3, a lognormal one 2.4."""
+"""Skewness of an exponential population, divided by the mean skewness of its samples of 20 values.
+
+A half-normal population has 1.3, and a lognormal one 2.4."""
 
 ONE_SIDED = 0.9
 """Coverage of an interval on both sides with 5 % of the values above it, where none count as too small."""

@@ -135,7 +135,7 @@ def _real_changes(experiment: Experiment) -> list[Change]:
 def _changes(
     before: Scene, experiment: Experiment, allowed: Collection[ChangeKind]
 ) -> list[Change]:
-    """Return the changes of an experiment from a scene that are not allowed, with those of its MJCF file."""
+    """Return the forbidden changes between a scene and an experiment, and those in its MJCF file."""
     changes = [*scene_changes(before, experiment.scene)]
     if experiment.asset is not None and experiment.model_file is not None:
         changes += experiment.asset.changes

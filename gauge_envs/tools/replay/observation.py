@@ -120,10 +120,13 @@ def _variants(
     elif term == "projected_gravity":
         yield "", turn.inv().apply(DOWN)
         yield "turned the other way", turn.apply(DOWN)
-        for order, shift in (("x y z w", -1), ("w x y z", 1)):
+        for order, shift in (
+            ("x y z w read as w x y z", -1),
+            ("w x y z read as x y z w", 1),
+        ):
             numbers = np.roll(log.base_pose[:, 3:], shift, axis=1)
             wrong = Rotation.from_quat(numbers, scalar_first=True)
-            text = f"from numbers {order} of the quaternion that are taken for the other order"
+            text = f"with a quaternion {order}"
             yield text, wrong.inv().apply(DOWN)
             yield f"{text} turned the other way", wrong.apply(DOWN)
     elif term in OF_BASE:
@@ -162,7 +165,7 @@ def _check_action(log: Log, mapped: LogMap, home: FloatArray) -> Iterator[str]:
     variants = [
         ("", moved),
         ("without the default pose", moved - home),
-        ("from the present pose", moved + log.position - home),
+        ("added to the present pose", moved + log.position - home),
     ]
     for text in _differs(target - home, variants):
         yield f"The target is the action {text}."
@@ -306,8 +309,8 @@ def _differs(
             (np.clip(late, -limit, limit), f"clipped at {limit:.3g}"),
             (
                 late + shift,
-                f"with an offset up to {largest:.3g}",
-                "as of another default pose",
+                f"with an offset of up to {largest:.3g}",
+                "from another default pose",
             ),
         ):
             tried.append((_gap(shown, moved, noise), [*words, *more]))

@@ -2,7 +2,7 @@
 
 import math
 from base64 import b64encode
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import islice
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -18,6 +18,7 @@ from gauge_envs.tools.video.frames import FileFrames, Picture, cv2
 from gauge_envs.tools.video.scoring import VideoScore
 from gauge_envs.tools.video.tasks import (
     VideoTask,
+    published_models,
     published_values,
     video_tasks,
 )
@@ -140,44 +141,44 @@ def score_document(result: VideoScore, task: VideoTask) -> Document:
 def model_table(clips: Clips) -> Table:
     """Return Table 3 of the paper: a row for each task and metric, a column for each model.
 
-    A model of the paper, as `cosmos3_nano_negative`, has its published values beside, and a note on those that differ.
+    A model of the paper, as `cosmos3_nano_negative`, has its published values beside. A note names those that differ.
     """
     results: dict[tuple[str, str], list[VideoScore | None]] = {}
     for model, task, _, result in clips:
         results.setdefault((model, task), []).append(result)
     models = dict.fromkeys(model for model, _ in results)
     scored = {task for _, task in results}
-    known = {name for values in published_values().values() for name in values}
-    rows, differing = [], []
-    published_count = 0
+    rows: list[Row] = []
+    is_near: dict[str, bool] = {}
     for shown in video_tasks():
         if shown.id not in scored:
             continue
         for name, law in shown.law.items():
             row: Row = {"task": shown.id, "metric": TITLES[name], "law": law}
-            published = published_values()[shown.id, name]
             for model in models:
                 of_model = results.get((model, shown.id), [])
                 values = _sound_values(name, of_model)
                 row[model] = _mean_text(values, len(of_model))
-                if model not in known:
+                if model not in published_models():
                     continue
-                paper = published.get(model)
+                paper = published_values()[shown.id, name].get(model)
                 row[f"{model}, paper"] = paper
-                if paper is None or not values:
-                    continue
-                published_count += 1
-                if not math.isclose(np.mean(values), paper, rel_tol=DIFFERENCE):
-                    differing.append(f"{model} {shown.id} {TITLES[name]}")
+                if paper is not None and values:
+                    near = math.isclose(np.mean(values), paper, rel_tol=DIFFERENCE)
+                    is_near[f"{model} {shown.id} {TITLES[name]}"] = near
             rows.append(row)
-    notes = [VALUES_NOTE]
-    if published_count:
-        names = ": " + ", ".join(differing) if differing else ""
-        notes.append(
-            f"{len(differing)} of {published_count} values differ from those of the paper by more than "
+    return _table(rows, VALUES_NOTE, *_differences(is_near))
+
+
+def _differences(is_near: Mapping[str, bool]) -> Iterator[str]:
+    """Yield a sentence on the values that differ from the published ones, if any was published."""
+    far = [name for name, near in is_near.items() if not near]
+    if is_near:
+        names = ": " + ", ".join(far) if far else ""
+        yield (
+            f"{len(far)} of {len(is_near)} values differ from those of the paper by more than "
             f"{100 * DIFFERENCE:.0f} %{names}."
         )
-    return _table(rows, *notes)
 
 
 def _mean_text(values: Sequence[float], count: int) -> str | None:

@@ -114,6 +114,12 @@ def published_values() -> dict[tuple[str, str], dict[str, float]]:
     return values
 
 
+def published_models() -> frozenset[str]:
+    """Return the names of the models in Table 3 of GAUGE's paper."""
+    names = {name for values in published_values().values() for name in values}
+    return frozenset(names - {"real_baseline"})
+
+
 @cache
 def published_law() -> dict[str, dict[str, float]]:
     """Return the column "real baseline" of Table 3 of GAUGE's paper by task and metric."""

@@ -103,8 +103,8 @@ def read_track(path: Path | str, *, fps: float | None = None) -> Track:
 
     The file has `time` [s] or `frame`. Pixels from the top left corner of the video with the same name, else of the
     known first frame, are in `x` and `y`. Pixels of the known first frame are in `x_grid` and `y_grid`. Other columns
-    are ignored. Rows without a position have empty cells
-    or are left out. A JSON file has the centre `[x, y]` of each frame by its number, as the tracks of the benchmark.
+    are ignored. Rows without a position have empty cells or are left out. A JSON file has the centre `[x, y]` of each
+    frame by its number.
 
     Args:
         path: The file.
@@ -198,6 +198,9 @@ def _centres(path: Path) -> dict[str, FloatArray]:
             int(frame): centre for frame, centre in json_document(content).items()
         }
         frames = sorted(centre_of)
-        centres = [centre_of[frame] or (math.nan, math.nan) for frame in frames]
+        unseen = (math.nan, math.nan)
+        centres = [
+            unseen if centre_of[frame] is None else centre_of[frame] for frame in frames
+        ]
         x, y = np.array(centres, dtype=float).T
     return {"frame": np.array(frames, dtype=float), "x": x, "y": y}

@@ -93,7 +93,7 @@ def clip(terms, turn, joints):
     ("change", "words"),
     [
         (nothing, ""),
-        (order_of_quaternion, "numbers x y z w of the quaternion"),
+        (order_of_quaternion, "quaternion x y z w read as w x y z"),
         (world, "base_angvel in the world frame"),
         (twice, "base_angvel turned into the body frame twice"),
         (scale, "joint_vel with 2 times its scale"),
@@ -185,7 +185,7 @@ def test_a_policy_that_cannot_be_run_is_named(tmp_path, monkeypatch):
     [
         (lambda action, angles: HOME + 0.5 * action, ""),
         (lambda action, angles: 0.5 * action, "without the default pose"),
-        (lambda action, angles: angles + 0.5 * action, "from the present pose"),
+        (lambda action, angles: angles + 0.5 * action, "added to the present pose"),
         (lambda action, angles: HOME + 0.25 * action, "with 0.5 times its scale"),
         (lambda action, angles: HOME + 0.5 * action[:, ::-1], "in the order 1 0"),
         (lambda action, angles: HOME + np.roll(0.5 * action, 1, axis=0), "late"),

@@ -9,9 +9,9 @@ FIRST_WORDS = {
     "isaac-sim/IsaacLab#1586": "Joint order: hip follows neck",
     "zhaozijie2022/LocoWheeledLegged#2": "Action scale: hip 0.5",
     "strands-labs/robots#1187": "The policy sees base_angvel in the world frame",
-    "isaac-sim/IsaacLab#5754": "The policy sees projected_gravity from numbers x y z w",
-    "IsaacZH/himloco_lab#1": "The policy sees joint_pos with an offset up to -0.3",
-    "InternRobotics/HoST#2": "The target is the action from the present pose",
+    "isaac-sim/IsaacLab#5754": "The policy sees projected_gravity with a quaternion x y z w read as w x y z",
+    "IsaacZH/himloco_lab#1": "The policy sees joint_pos with an offset of up to -0.3",
+    "InternRobotics/HoST#2": "The target is the action added to the present pose",
 }
 
 
