@@ -3,7 +3,7 @@
 The observed deviation is the true deviation plus the error e of the mean of N trials. S is the covariance of e. On
 average, the square of the observed distance d exceeds the square of the true distance D by tr(S). Its variance is
 4 D^2 h'Sh + 2 tr(S^2) with the unit deviation h. The interval holds each D whose square is less than t standard
-deviations from d^2 - tr(S) (Wilson's interval). Student's t has N - 1 degrees of freedom. At D = 0,
+deviations from d^2 - tr(S) (Wilson's interval). Student's t has N - 1 degrees of freedom or fewer. At D = 0,
 (t^2 - 1)^2 tr(S^2) replaces 2 t^2 tr(S^2). So an error with one direction excludes D = 0 as Student's test does.
 """
 
@@ -95,9 +95,6 @@ def jackknife_interval(
 ) -> tuple[float, float]:
     """Return `ratio_interval` of a distance and a mean distance from the same trials, by the jackknife.
 
-    Heavy tails make the variance uncertain. Its variance, sigma^4 (2 / (N - 1) + k / N) with the excess kurtosis k,
-    gives the degrees of freedom of Student's t (Satterthwaite).
-
     Args:
         ratio: The distance over the mean distance.
         relative: 95 % interval of the distance, over the distance.
@@ -108,35 +105,54 @@ def jackknife_interval(
     # Without a trial, a mean is smaller by the error that the trial adds.
     errors = -np.log([distances, baselines])
     of_distance, of_mean = errors - errors.mean(axis=1, keepdims=True)
-    squares = np.square(of_mean)
-    total = max(float(squares.sum()), 1e-30)
-    kurtosis = count * float(np.square(squares).sum()) / total**2 - 3.0
-    freedom = 2.0 / (2.0 / (count - 1) + max(kurtosis, 0.0) / count)
+    total = max(float(of_mean @ of_mean), 1e-30)
     uncertainty = math.sqrt((count - 1) / count * total)
-    below, above = (uncertainty * t for t in skewed_t(of_mean, student_t(freedom)))
+    below, above = (uncertainty * t for t in skewed_t(of_mean))
     spread = math.sqrt(total * max(float(of_distance @ of_distance), 1e-30))
     correlation = float(of_distance @ of_mean) / spread
     return ratio_interval(ratio, relative, (below, above), correlation)
 
 
-def skewed_t(sample: FloatArray, t: float) -> tuple[float, float]:
-    """Return Student's t below and above the mean of a sample, longer on the side of its tail (Johnson 1978).
+def skewed_t(sample: FloatArray) -> tuple[float, float]:
+    """Return Student's t of a 95 % interval, below and above the mean of a sample.
 
-    A sample of N values from a skewed population has a small mean and a small scatter together.
+    Heavy tails make the variance uncertain. Its variance, sigma^4 (2 / (N - 1) + k / N) with the excess kurtosis k,
+    gives the degrees of freedom (Satterthwaite). A sample from a skewed population has a small mean and a small scatter
+    together, so the interval is longer on the side of the tail (Johnson 1978).
 
     Args:
         sample: The sample, shape [N].
-        t: Student's t of a sample that is not skewed.
     """
     count = len(sample)
     deviations = sample - sample.mean()
     scatter = float(deviations.std())
     if count < 3 or scatter == 0.0:
+        t = student_t(count - 1)
         return t, t
+    third, fourth = (
+        float(np.mean((deviations / scatter) ** power)) for power in (3, 4)
+    )
+    freedom = 2.0 / (2.0 / (count - 1) + max(fourth - 3.0, 0.0) / count)
+    t = student_t(freedom)
     bias = math.sqrt(count * (count - 1)) / (count - 2)
-    skewness = SKEWNESS_FACTOR * bias * float(np.mean((deviations / scatter) ** 3))
+    skewness = SKEWNESS_FACTOR * bias * third
     longer = skewness * (1.0 + 2.0 * t**2) / (6.0 * math.sqrt(count))
     return t + max(-longer, 0.0), t + max(longer, 0.0)
+
+
+def order_widening(series: FloatArray) -> float:
+    """Return by how much the error of a mean grows if consecutive trials are correlated.
+
+    The trials count as fewer: AR(1), with the bias 1/N of its correlation.
+
+    Args:
+        series: Deviations of the trials from their mean in recorded order, shape [N].
+    """
+    count = len(series)
+    square = max(float(series @ series), 1e-300)
+    lag = float(series[1:] @ series[:-1]) / square + 1.0 / count
+    lag = min(max(lag, 0.0), 1.0 - 1.0 / count)
+    return math.sqrt((1.0 + lag) / (1.0 - lag))
 
 
 def distances_without(deviation: FloatArray, trials: FloatArray) -> FloatArray:
@@ -220,12 +236,8 @@ def trials_interval(
 
     distance = length_of(vector)
     along = rows @ vector / max(distance, 1e-300)
-    # Correlated consecutive trials count as fewer: AR(1), with the bias 1/N of its correlation.
     series = along[:count].copy()
-    square = max(float(series @ series), 1e-300)
-    lag = float(series[1:] @ series[:-1]) / square + 1.0 / count
-    lag = min(max(lag, 0.0), 1.0 - 1.0 / count)
-    widening = math.sqrt((1.0 + lag) / (1.0 - lag))
+    widening = order_widening(series)
     rows[:count] *= widening
     along[:count] *= widening
 
@@ -240,7 +252,7 @@ def trials_interval(
         return math.sqrt(max(centre + side * half, 0.0))
 
     # A mean that is larger by the error of the trials is nearer to the motion.
-    above, below = skewed_t(series, student_t(count - 1))
+    above, below = skewed_t(series)
     # The error of a distance is at most the length of the error vector.
     longest = distance + above * math.sqrt(variance)
     low, high = end(below, -1.0), end(above, 1.0)

@@ -31,7 +31,11 @@ from gauge_envs.scoring.interval import (
     trials_interval,
 )
 from gauge_envs.scoring.metrics import MAX_TIME_OFFSET_S, MIN_OVERLAP, shifted_frames
-from gauge_envs.tools.compare.statistics import Deviations, difference_interval
+from gauge_envs.tools.compare.statistics import (
+    Deviations,
+    difference_interval,
+    without_shift,
+)
 
 REAL = (
     "SlopeSlider-2-wood",
@@ -273,6 +277,7 @@ class Population:
         for _ in range(count):
             trials = self.draw(random)
             errors = (trials - trials.mean(axis=0)) / np.sqrt(trials.shape[1])
+            errors = without_shift(errors, trials.mean(axis=0))
             errors /= np.sqrt(len(trials) * (len(trials) - 1.0))
             frames = World(trials, self.motions).aligned_frames()
             sides = [

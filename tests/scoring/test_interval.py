@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from scipy.stats import binom, skew, t as student
+from scipy.stats import binom, kurtosis, skew, t as student
 
 from gauge_envs import load_experiment, reference_band
 from gauge_envs.scoring.interval import (
@@ -122,10 +122,11 @@ def test_intervals_hold_the_truth_if_trials_scatter_in_another_shape(name, count
 def test_the_interval_of_skewed_trials_is_longer_on_the_side_of_the_tail():
     """Johnson's t of skewness g and N values: t + g (1 + 2 t^2) / (6 sqrt(N))."""
     sample = np.array([0.0, 0.0, 1.0, 1.0, 1.0, 9.0])
-    longer = 1.5 * skew(sample, bias=False) * (1.0 + 2.0 * 4.0) / (6.0 * math.sqrt(6.0))
-    assert skewed_t(sample, 2.0) == pytest.approx((2.0, 2.0 + longer))
-    assert skewed_t(-sample, 2.0) == pytest.approx((2.0 + longer, 2.0))
-    assert skewed_t(np.ones(4), 2.0) == (2.0, 2.0)
+    t = student_t(2.0 / (2.0 / 5.0 + kurtosis(sample) / 6.0))
+    longer = 1.5 * skew(sample, bias=False) * (1.0 + 2.0 * t**2) / (6.0 * 6.0**0.5)
+    assert skewed_t(sample) == pytest.approx((t, t + longer))
+    assert skewed_t(-sample) == pytest.approx((t + longer, t))
+    assert skewed_t(np.ones(4)) == (student_t(3), student_t(3))
 
 
 @pytest.mark.parametrize(

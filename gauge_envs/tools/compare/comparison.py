@@ -362,6 +362,7 @@ def _deviations(results: Sequence[Result], notes: list[str]) -> Deviations | Non
             [reference.deviation(result) for result in results],
             [result.seed for result in results],
             scale=_scale(experiment, band, results[0].score.primary),
+            is_aligned=results[0].score.primary == ALIGNED.key,
         )
     except GaugeError as error:
         notes.append(f"{unranked} result cannot be scored again: {error}")

@@ -4,8 +4,9 @@ All configurations of an experiment share the error e of its reference. Of two d
 
     |a - e|^2 - |b - e|^2 = |a|^2 - |b|^2 - 2 e (a - b),
 
-which is linear in e and has no bias. Divided by |a| + |b|, it is the observed difference |a| - |b| plus an error of at
-most 2 |e|. The time shift has the smallest distance, so it has no first-order effect.
+which is linear in e and has no bias. Divided by the sum of both distances, it is their difference. Observed distances
+are too large: their squares hold the square of e. The time shift has the smallest distance, so errors along the
+velocity have no effect.
 """
 
 from __future__ import annotations
@@ -22,7 +23,8 @@ from gauge_envs.scene.geometry import FloatArray, length_of
 from gauge_envs.scoring.interval import (
     COVERAGE_FACTOR,
     mean_half_width,
-    student_t,
+    order_widening,
+    skewed_t,
 )
 from gauge_envs.scoring.score import Interval
 
@@ -80,6 +82,17 @@ class Deviations:
         """Primary score of each repeat, shape [repeat_count]."""
         return np.asarray(np.linalg.norm(self.vectors, axis=1))
 
+    @property
+    def error_square(self) -> float:
+        """Mean square of the error that the mean of real trials adds to each score."""
+        return float(np.square(self.trials).sum() + np.square(self.shared).sum())
+
+    @property
+    def true_scores(self) -> FloatArray:
+        """Scores without the error of the mean of real trials, shape [repeat_count]."""
+        squares = np.square(self.scores) - self.error_square
+        return np.asarray(np.sqrt(np.maximum(squares, 0.0)))
+
     @classmethod
     def of(
         cls,
@@ -88,6 +101,7 @@ class Deviations:
         seeds: Iterable[int | None],
         *,
         scale: float,
+        is_aligned: bool,
     ) -> Deviations:
         """Return the deviations of repeats.
 
@@ -96,13 +110,17 @@ class Deviations:
             deviations: Deviation of each repeat in the compared coordinates, shape [frame_count, C].
             seeds: Seed of each repeat.
             scale: Distance with a score of 1, in the unit of the band.
+            is_aligned: Whether the score ignores a time shift.
         """
         compared = band.compared
         known = np.isfinite(compared.mean)
         size = scale * math.sqrt(int(compared.known.sum()) * compared.marker_count)
         trials = shared = np.zeros((0, int(known.sum())))
         if band.trials is not None and len(band.trials) > 1:
-            trials = _errors_of_mean(band.trials)[:, known] / size
+            trials = _errors_of_mean(band.trials)
+            if is_aligned:
+                trials = without_shift(trials, band.mean)
+            trials = trials[:, known] / size
             if band.uncertainty is not None:
                 axes = np.eye(len(band.coordinates))[:, None]
                 shared = (np.nan_to_num(band.uncertainty) * axes)[:, known] / size
@@ -116,23 +134,23 @@ class Deviations:
             uncertainty=band.standard_uncertainty / scale,
         )
 
-    def half_width(self, direction: FloatArray) -> float:
-        """Return half the 95 % interval of the reference error along a vector of shape [entry_count].
+    def half_widths(self, direction: FloatArray) -> tuple[float, float]:
+        """Return the 95 % interval of a true component, below and above the observed one.
 
-        With single trials, it is Student's interval for the mean of their components. Correlated consecutive trials
-        count as fewer trials: AR(1), with a bias of 1/N of the lag correlation. Without single trials, the direction of
-        the error is unknown, so all of it counts along the vector.
+        Without single trials, the direction of the error is unknown, so all of it counts along the vector.
+
+        Args:
+            direction: Vector that the deviations are multiplied with, shape [entry_count].
         """
-        count = len(self.trials)
-        if not count:
-            return COVERAGE_FACTOR * self.uncertainty * length_of(direction)
+        if not len(self.trials):
+            half = COVERAGE_FACTOR * self.uncertainty * length_of(direction)
+            return half, half
         series = self.trials @ direction
-        variance = float(series @ series)
-        lag = float(series[1:] @ series[:-1]) / max(variance, SMALLEST) + 1.0 / count
-        lag = min(max(lag, 0.0), 1.0 - 1.0 / count)
-        std_of_mean = math.sqrt(variance * (1.0 + lag) / (1.0 - lag))
-        shared = length_of(self.shared @ direction)
-        return student_t(count - 1) * math.hypot(std_of_mean, shared)
+        of_trials = length_of(series) * order_widening(series)
+        error = math.hypot(of_trials, length_of(self.shared @ direction))
+        # A mean that is larger by the error of the trials makes the component smaller.
+        above, below = skewed_t(series)
+        return below * error, above * error
 
 
 def _scaled(deviation: FloatArray, band: Band) -> FloatArray:
@@ -153,6 +171,14 @@ def _errors_of_mean(trials: FloatArray) -> FloatArray:
     residuals = trials - np.nansum(trials, axis=0) / count
     errors = residuals / np.sqrt(np.maximum(count * (count - 1), 1))
     return np.where(known, errors, 0.0)
+
+
+def without_shift(errors: FloatArray, mean: FloatArray) -> FloatArray:
+    """Return errors of shape [N, T, C] without the part along the velocity of the mean motion."""
+    velocity = np.nan_to_num(np.gradient(mean, axis=0))
+    direction = velocity / max(length_of(velocity), SMALLEST)
+    shifts = np.einsum("ntc,tc->n", errors, direction)
+    return errors - shifts[:, None, None] * direction
 
 
 def repeats_interval(
@@ -189,15 +215,17 @@ def difference_interval(first: Deviations, second: Deviations) -> Interval:
         pairs = [*product(range(len(first.seeds)), range(len(second.seeds)))]
     rows, columns = np.transpose(pairs)
     scores, other_scores = first.scores[rows], second.scores[columns]
-    differences = scores - other_scores
+    sums = first.true_scores[rows] + second.true_scores[columns]
+    sums = np.maximum(sums, max(math.sqrt(first.error_square), SMALLEST))
+    differences = (np.square(scores) - np.square(other_scores)) / sums
     if is_paired:
         half_of_repeats = mean_half_width(differences)
     else:
         halves = mean_half_width(first.scores), mean_half_width(second.scores)
         half_of_repeats = math.hypot(*halves)
-    sums = np.maximum(scores + other_scores, SMALLEST)
     apart = first.vectors[rows] - second.vectors[columns]
     direction = (2.0 / sums) @ apart / len(pairs)
-    half = math.hypot(half_of_repeats, first.half_width(direction))
+    below, above = first.half_widths(direction)
     difference = float(differences.mean())
-    return difference - half, difference + half
+    low = difference - math.hypot(half_of_repeats, below)
+    return low, difference + math.hypot(half_of_repeats, above)

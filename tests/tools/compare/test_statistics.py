@@ -40,7 +40,9 @@ def band_of(mean, *, kind=Kind.TRIALS, trials=None, u=None):
 
 def deviations(band, *motions, seeds=None):
     apart = [motion - band.mean for motion in motions]
-    return Deviations.of(band, apart, seeds or range(len(apart)), scale=1.0)
+    return Deviations.of(
+        band, apart, seeds or range(len(apart)), scale=1.0, is_aligned=False
+    )
 
 
 def scored(*scores, name="exact", u=0.0):
@@ -96,7 +98,7 @@ def test_the_interval_of_a_difference_covers_the_true_difference(
     velocity_mm_per_s = np.gradient(fall_mm, times_s[:, 0], axis=0)
     modes = np.array([0.004 * velocity_mm_per_s, 5.0 * AXIS])
     motions = fall_mm + 8.0 * AXIS, 0.98 * fall_mm + 30.0 * AXIS
-    true = [np.square(motion - fall_mm).sum() / FRAMES for motion in motions]
+    true = [np.linalg.norm(motion - fall_mm) / FRAMES**0.5 for motion in motions]
     covered = 0
     for _ in range(WORLDS):
         weights = random.standard_normal((count, 2))
@@ -107,10 +109,10 @@ def test_the_interval_of_a_difference_covers_the_true_difference(
         band = band_of(trials.mean(axis=0), trials=trials)
         first, second = (deviations(band, motion) for motion in motions)
         low, high = difference_interval(first, second)
-        sum_mm = first.scores[0] + second.scores[0]
-        covered += low <= (true[0] - true[1]) / sum_mm <= high
-    # The coverage of correlated trials is lower, as in the interval of a single score.
-    assert min_coverage <= covered / WORLDS <= 0.98
+        covered += low <= true[0] - true[1] <= high
+    # The coverage of correlated trials is lower, as in the interval of a single score. It may exceed 95 %: both motions
+    # deviate to one side, where an error of the mean changes the difference of squares and the sum alike.
+    assert min_coverage <= covered / WORLDS <= 0.995
 
 
 def test_engines_at_equal_distance_from_a_solution_are_rarely_resolved():
