@@ -8,8 +8,7 @@ from enum import StrEnum
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.references.band import Band
 from gauge_envs.references.kind import Kind
-from gauge_envs.references.published import Baseline
-from gauge_envs.scoring.events import PUBLISHED_TRIALS
+from gauge_envs.references.published import PUBLISHED_TRIALS, Baseline
 from gauge_envs.scoring.interval import (
     COVERAGE_FACTOR,
     ONE_SIDED,
@@ -109,10 +108,8 @@ def is_like_trials(band: Band, distance: float, limit: float) -> Answer:
 def united(answers: Iterable[Answer | None]) -> Answer | None:
     """Return `no` if one answer is no, `yes` if all are yes; None without answers."""
     known = {answer for answer in answers if answer is not None}
-    for answer in (Answer.NO, Answer.CANNOT_TELL, Answer.YES):
-        if answer in known:
-            return answer
-    return None
+    order = (Answer.NO, Answer.CANNOT_TELL, Answer.YES)
+    return min(known, key=order.index, default=None)
 
 
 def normalizing_baselines(experiment: Experiment, band: Band) -> dict[str, Baseline]:

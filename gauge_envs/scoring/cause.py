@@ -9,11 +9,12 @@ from enum import StrEnum
 
 import numpy as np
 
+from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.references.band import Band
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
-from gauge_envs.scoring.exact import MotionOfTime
-from gauge_envs.scoring.metrics import best_offset
+from gauge_envs.scoring.exact import exact_motion
+from gauge_envs.scoring.metrics import best_offset, rms_deviation
 
 
 class DistanceCause(StrEnum):
@@ -47,14 +48,14 @@ def cause_of(
 
 
 def distance_from_exact(
-    solution: MotionOfTime, band: Band, frames: FloatArray, time_offset_s: float
+    experiment: Experiment, band: Band, frames: FloatArray, time_offset_s: float
 ) -> float:
     """Return the RMSE of a motion to the exact motion after the best time shift, in the unit of the reference.
 
     The exact motion is shifted, not the other one: its law holds at any time, so nothing is interpolated.
 
     Args:
-        solution: The exact motion, see `exact_solution`.
+        experiment: Experiment with an exact motion.
         band: The reference.
         frames: The motion at the 30 Hz frames in the coordinates of the reference, shape [T, C].
         time_offset_s: Time shift of the motion to the trials [s]. Frames that this shift moves beyond the end of the
@@ -62,12 +63,12 @@ def distance_from_exact(
     """
     times_s = np.arange(len(frames)) / FRAME_RATE_HZ
     is_compared = times_s <= times_s[-1] - max(time_offset_s, 0.0)
-    times_s, frames = times_s[is_compared], frames[is_compared]
 
     def shifted_rmse(offset_s: FloatArray) -> FloatArray:
-        queries_s = times_s - np.asarray(offset_s)[..., None]
-        exact = band.project(solution(queries_s.ravel()))
-        deviation = frames - exact.reshape(*queries_s.shape, -1)
-        return np.asarray(np.sqrt(np.square(deviation).sum(axis=-1).mean(axis=-1)))
+        queries_s = times_s[is_compared] - offset_s[..., None]
+        exact = exact_motion(experiment, queries_s.ravel())
+        assert exact is not None, "the experiment has an exact motion"
+        projected = band.project(exact).reshape(*queries_s.shape, -1)
+        return rms_deviation(projected - frames[is_compared])
 
     return best_offset(shifted_rmse)[1]

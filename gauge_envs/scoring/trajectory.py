@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
@@ -15,8 +16,8 @@ from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scoring.answers import united
 from gauge_envs.scoring.distances import ComparedMotion, with_distances
 from gauge_envs.scoring.estimates import ComparedQuantity, estimates
-from gauge_envs.scoring.events import PUBLISHED_TRIALS, event_values
-from gauge_envs.scoring.metrics import frame_index
+from gauge_envs.scoring.events import event_values
+from gauge_envs.scoring.metrics import check_finite, frame_index
 from gauge_envs.scoring.recorded_events import EVENTS, SampledMotion
 from gauge_envs.scoring.reference import has_real_structure, refusal
 from gauge_envs.scoring.score import Score
@@ -54,12 +55,22 @@ def score_trajectory(
     index = frame_index(times_s, experiment.frame_count, name=experiment.name)
     end = index[-1] + 1
     times_s, values, frames = times_s[:end], values[:end], values[index]
-    if not is_checked and np.isfinite(frames[0]).all():
+    check_finite(experiment.name, frames)
+    if not is_checked:
         fault = value_mistake(experiment, frames)
         if fault is not None:
             raise ShapeError(f"{experiment.name}: {fault}")
+    sampled = SampledMotion(
+        scene=experiment.scene,
+        times_s=times_s,
+        samples=values,
+        markers_m=np.empty((len(frames), 0, 3)) if markers_m is None else markers_m,
+    )
     reason = refusal(experiment, band, is_moved=is_moved)
-    events = _events(experiment, band, times_s, values, frames, markers_m)
+    events = {}
+    if has_real_structure(experiment):
+        events = _published_events(experiment, frames)
+        events |= _recorded_events(experiment, band, sampled)
     unit = experiment.score.observable.unit
     score = Score(
         kind=(Kind.NONE if band is None else band.kind).value,
@@ -78,57 +89,45 @@ def score_trajectory(
         times_s=times_s,
         samples=band.project(values),
         frames=band.project(frames),
-        markers_m=markers_m,
+        markers_m=sampled.markers_m,
     )
     return with_distances(score, motion, is_moved=is_moved)
 
 
-def _events(
-    experiment: Experiment,
-    band: Band | None,
-    times_s: FloatArray,
-    values: FloatArray,
-    frames: FloatArray,
-    markers_m: FloatArray | None,
+def _published_events(
+    experiment: Experiment, frames: FloatArray
 ) -> dict[str, ComparedQuantity]:
-    """Return the events of an episode with the published and the recorded values."""
-    if not has_real_structure(experiment):
-        return {}
+    """Return the events of the paper with their published values."""
     events = {}
     for metric, value in event_values(experiment, frames).items():
         row = experiment.baselines.get(metric)
-        std = None if row is None else row.std
-        events[metric] = _event(
-            value,
-            unit=METRICS[metric].unit or experiment.score.observable.unit,
-            real=None if row is None else row.mean,
-            real_uncertainty=None if std is None else std / math.sqrt(PUBLISHED_TRIALS),
-        )
-    if markers_m is None and experiment.scene.markers is not None:
-        return events
-    of_trial = () if band is None else band.events
-    for event in (*recorded_events(experiment.name), *of_trial):
-        motion = SampledMotion(
-            scene=experiment.scene,
-            times_s=times_s,
-            samples=values,
-            markers_m=np.empty((len(frames), 0, 3)) if markers_m is None else markers_m,
-            markers=event.markers,
-        )
-        events[event.name] = _event(
-            EVENTS[event.name](motion),
-            unit=event.unit,
-            real=event.value,
-            real_uncertainty=event.standard_uncertainty,
+        events[metric] = ComparedQuantity(
+            value=_or_none(value),
+            unit=METRICS[metric].unit_of(experiment.score.observable.unit),
+            real=row.mean if row else None,
+            real_uncertainty=row.standard_uncertainty if row else None,
         )
     return events
 
 
-def _event(
-    value: float, *, unit: str, real: float | None, real_uncertainty: float | None
-) -> ComparedQuantity:
-    """Return an event with its real value; NaN is an event that does not happen."""
-    known = None if math.isnan(value) else value
-    return ComparedQuantity(
-        value=known, unit=unit, real=real, real_uncertainty=real_uncertainty
-    )
+def _recorded_events(
+    experiment: Experiment, band: Band | None, motion: SampledMotion
+) -> dict[str, ComparedQuantity]:
+    """Return the events of recordings and of the trial with their real values; none if markers are not known."""
+    if not motion.markers_m.size and experiment.scene.markers is not None:
+        return {}
+    of_trial = () if band is None else band.events
+    return {
+        event.name: ComparedQuantity(
+            value=_or_none(EVENTS[event.name](replace(motion, markers=event.markers))),
+            unit=event.unit,
+            real=event.value,
+            real_uncertainty=event.standard_uncertainty,
+        )
+        for event in (*recorded_events(experiment.name), *of_trial)
+    }
+
+
+def _or_none(value: float) -> float | None:
+    """Return the value of an event; None for NaN, an event that does not happen."""
+    return None if math.isnan(value) else value
