@@ -1,4 +1,4 @@
-"""Answers to the two questions of a score: does the motion solve the scene, and is it like reality?"""
+"""Answers to the two questions of a score: does the motion solve the scene, and is it like reality? If not, why?"""
 
 from __future__ import annotations
 
@@ -131,3 +131,33 @@ def baseline_means(experiment: Experiment, band: Band) -> dict[str, float]:
     if band.trial_rmse_aligned is not None and band.trial_rmse_aligned.any():
         means["rmse_aligned"] = float(band.trial_rmse_aligned.mean())
     return means
+
+
+class DistanceCause(StrEnum):
+    """What causes the distance of a motion from real trials."""
+
+    NONE = "none"
+    """The motion is as close as real trials."""
+    CONSTANTS = "constants"
+    """The motion is near the exact one, which is far from the trials."""
+    ENGINE = "engine"
+    """The motion is far from the trials, and the exact one is near them."""
+    BOTH = "both"
+    """The motion is far from the exact one, and both are far from the trials."""
+
+
+def cause_of(
+    *, is_real: bool, is_exact_real: bool, is_near_exact: bool
+) -> DistanceCause:
+    """Return the cause of the distance of a motion from real trials.
+
+    Args:
+        is_real: Whether the motion is as close to the trials as one more trial would be.
+        is_exact_real: Whether the exact motion is.
+        is_near_exact: Whether the distance between the motion and the exact one does not matter.
+    """
+    if is_real:
+        return DistanceCause.NONE
+    if is_exact_real:
+        return DistanceCause.ENGINE
+    return DistanceCause.CONSTANTS if is_near_exact else DistanceCause.BOTH

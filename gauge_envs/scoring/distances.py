@@ -13,6 +13,7 @@ from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.scoring.answers import (
     baseline_means,
+    cause_of,
     is_like_trials,
     mattering_distance,
     normalizing_baselines,
@@ -21,7 +22,6 @@ from gauge_envs.scoring.answers import (
     united,
     within,
 )
-from gauge_envs.scoring.cause import cause_of, distance_from_exact
 from gauge_envs.scoring.exact import exact_motion
 from gauge_envs.scoring.interval import (
     distance_interval,
@@ -33,6 +33,8 @@ from gauge_envs.scoring.interval import (
 )
 from gauge_envs.scoring.metrics import (
     MAX_TIME_OFFSET_S,
+    best_offset,
+    rms_deviation,
     shifted_frames,
     time_offset,
     trajectory_dtw,
@@ -210,7 +212,7 @@ def _from_exact(score: Score, motion: ComparedMotion) -> Score:
         return score
     from_trials = trajectory_rmse(exact, band.mean)
     if score.time_offset_s is not None:
-        distance = distance_from_exact(experiment, band, frames, score.time_offset_s)
+        distance = _distance_from_exact(experiment, band, frames, score.time_offset_s)
         # Both shifts interpolate between the same samples.
         _, from_trials = time_offset(motion.times_s, band.project(samples), band.mean)
     assert score.distance is not None and score.real_limit is not None, "as documented"
@@ -220,3 +222,30 @@ def _from_exact(score: Score, motion: ComparedMotion) -> Score:
         is_near_exact=distance <= limit,
     )
     return replace(score, exact=from_trials / of_trials, cause=cause)
+
+
+def _distance_from_exact(
+    experiment: Experiment, band: Band, frames: FloatArray, time_offset_s: float
+) -> float:
+    """Return the RMSE of a motion to the exact motion after the best time shift, in the unit of the reference.
+
+    The exact motion is shifted, not the other one: its law holds at any time, so nothing is interpolated.
+
+    Args:
+        experiment: Experiment with an exact motion.
+        band: The reference.
+        frames: The motion at the 30 Hz frames in the coordinates of the reference, shape [T, C].
+        time_offset_s: Time shift of the motion to the trials [s]. Frames that this shift moves beyond the end of the
+            trials do not count, as in the score.
+    """
+    times_s = np.arange(len(frames)) / FRAME_RATE_HZ
+    is_compared = times_s <= times_s[-1] - max(time_offset_s, 0.0)
+
+    def shifted_rmse(offset_s: FloatArray) -> FloatArray:
+        queries_s = times_s[is_compared] - offset_s[..., None]
+        exact = exact_motion(experiment, queries_s.ravel())
+        assert exact is not None, "the experiment has an exact motion"
+        projected = band.project(exact).reshape(*queries_s.shape, -1)
+        return rms_deviation(projected - frames[is_compared])
+
+    return best_offset(shifted_rmse)[1]

@@ -11,8 +11,7 @@ from pydantic import TypeAdapter
 
 from gauge_envs.references.kind import Kind
 from gauge_envs.references.metrics import METRICS
-from gauge_envs.scoring.answers import Answer
-from gauge_envs.scoring.cause import DistanceCause
+from gauge_envs.scoring.answers import Answer, DistanceCause
 from gauge_envs.scoring.estimates import ComparedQuantity
 
 FROM_SOLUTION = "solution_distance"
@@ -89,10 +88,9 @@ class Score:
         """Distance that reports show first: `rmse`, `rmse_aligned` or `solution_distance`."""
         if Kind(self.kind).is_solution:
             return FROM_SOLUTION
-        names = (
-            name for name in ("rmse_aligned", "rmse") if getattr(self, name) is not None
-        )
-        return next(names, None)
+        if self.rmse_aligned is not None:
+            return "rmse_aligned"
+        return None if self.rmse is None else "rmse"
 
     @property
     def distance(self) -> float | None:
