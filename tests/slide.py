@@ -1,9 +1,9 @@
 """A cube that slides by Coulomb's law: g(t) in closed form and as a CSV file."""
 
 import numpy as np
+from closed_forms import slide_mm
 
 from gauge_envs import load_experiment
-from gauge_envs.scene import GRAVITY_M_PER_S2
 
 NAME = "SlopeSlider-2-wood"
 RESOLVED = load_experiment(NAME)
@@ -12,11 +12,8 @@ FRAMES = RESOLVED.frame_count
 
 def coulomb_slide(times_s):
     """g(t) [mm] of a cube that slides from its start with the published friction, shape [T, 3]."""
-    slope, friction = np.radians(30.0), 0.273673
-    acceleration = GRAVITY_M_PER_S2 * (np.sin(slope) - friction * np.cos(slope))
-    downhill = np.array([np.cos(slope), 0.0, -np.sin(slope)])
-    start = np.array(RESOLVED.scene.body("cube").pose.position_m)
-    return 1e3 * (start + 0.5 * acceleration * np.square(times_s)[:, None] * downhill)
+    start_m = np.array(RESOLVED.scene.body("cube").pose.position_m)
+    return slide_mm(start_m, times_s, friction=0.273673)
 
 
 TIMES = np.arange(FRAMES) / 30.0

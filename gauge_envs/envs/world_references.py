@@ -106,7 +106,7 @@ class WorldReferences:
 
     def score_arrays(self) -> dict[str, FloatArray]:
         """Return the scores of all worlds, see `GaugeVectorEnv.score_arrays`."""
-        from gauge_envs.scoring.worlds import score_worlds
+        from gauge_envs.scoring.trajectory import score_worlds
 
         rollout = self._rollout
         times_s, samples = rollout.recording.trajectories()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,10 @@ from gauge_envs.references.tables import FileModel, read_rows, scoring_folder
 
 PUBLISHED_ENGINES = {"isaacsim": "Isaac Sim", "genesis": "Genesis", "newton": "Newton"}
 """Titles of the engines whose scores were published, by column of the file."""
+
+
+PUBLISHED_TRIALS = 20
+"""Number of real trials of each task whose mean and standard deviation are published (paper, "Data Acquisition")."""
 
 
 class Baseline(FileModel):
@@ -38,6 +43,11 @@ class Baseline(FileModel):
     std: float | None
     engines: dict[str, float | None]
     disputed: str
+
+    @property
+    def standard_uncertainty(self) -> float | None:
+        """Standard uncertainty of the mean; None if no standard deviation was published."""
+        return None if self.std is None else self.std / math.sqrt(PUBLISHED_TRIALS)
 
     @model_validator(mode="before")
     @classmethod

@@ -1,4 +1,4 @@
-"""Answers to the two questions of a score: does the motion solve the scene, and is it like reality?"""
+"""Answers to the two questions of a score: does the motion solve the scene, and is it like reality? If not, why?"""
 
 from __future__ import annotations
 
@@ -8,8 +8,7 @@ from enum import StrEnum
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.references.band import Band
 from gauge_envs.references.kind import Kind
-from gauge_envs.references.published import Baseline
-from gauge_envs.scoring.events import PUBLISHED_TRIALS
+from gauge_envs.references.published import PUBLISHED_TRIALS, Baseline
 from gauge_envs.scoring.interval import (
     COVERAGE_FACTOR,
     ONE_SIDED,
@@ -109,10 +108,8 @@ def is_like_trials(band: Band, distance: float, limit: float) -> Answer:
 def united(answers: Iterable[Answer | None]) -> Answer | None:
     """Return `no` if one answer is no, `yes` if all are yes; None without answers."""
     known = {answer for answer in answers if answer is not None}
-    for answer in (Answer.NO, Answer.CANNOT_TELL, Answer.YES):
-        if answer in known:
-            return answer
-    return None
+    order = (Answer.NO, Answer.CANNOT_TELL, Answer.YES)
+    return min(known, key=order.index, default=None)
 
 
 def normalizing_baselines(experiment: Experiment, band: Band) -> dict[str, Baseline]:
@@ -134,3 +131,33 @@ def baseline_means(experiment: Experiment, band: Band) -> dict[str, float]:
     if band.trial_rmse_aligned is not None and band.trial_rmse_aligned.any():
         means["rmse_aligned"] = float(band.trial_rmse_aligned.mean())
     return means
+
+
+class DistanceCause(StrEnum):
+    """What causes the distance of a motion from real trials."""
+
+    NONE = "none"
+    """The motion is as close as real trials."""
+    CONSTANTS = "constants"
+    """The motion is near the exact one, which is far from the trials."""
+    ENGINE = "engine"
+    """The motion is far from the trials, and the exact one is near them."""
+    BOTH = "both"
+    """The motion is far from the exact one, and both are far from the trials."""
+
+
+def cause_of(
+    *, is_real: bool, is_exact_real: bool, is_near_exact: bool
+) -> DistanceCause:
+    """Return the cause of the distance of a motion from real trials.
+
+    Args:
+        is_real: Whether the motion is as close to the trials as one more trial would be.
+        is_exact_real: Whether the exact motion is.
+        is_near_exact: Whether the distance between the motion and the exact one does not matter.
+    """
+    if is_real:
+        return DistanceCause.NONE
+    if is_exact_real:
+        return DistanceCause.ENGINE
+    return DistanceCause.CONSTANTS if is_near_exact else DistanceCause.BOTH

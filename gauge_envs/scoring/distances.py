@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.references.band import Band
+from gauge_envs.references.published import PUBLISHED_TRIALS
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.scoring.answers import (
     baseline_means,
+    cause_of,
     is_like_trials,
     mattering_distance,
     normalizing_baselines,
@@ -21,9 +22,7 @@ from gauge_envs.scoring.answers import (
     united,
     within,
 )
-from gauge_envs.scoring.cause import cause_of, distance_from_exact
-from gauge_envs.scoring.events import PUBLISHED_TRIALS
-from gauge_envs.scoring.exact import exact_solution
+from gauge_envs.scoring.exact import exact_motion
 from gauge_envs.scoring.interval import (
     distance_interval,
     distances_without,
@@ -34,6 +33,8 @@ from gauge_envs.scoring.interval import (
 )
 from gauge_envs.scoring.metrics import (
     MAX_TIME_OFFSET_S,
+    best_offset,
+    rms_deviation,
     shifted_frames,
     time_offset,
     trajectory_dtw,
@@ -52,7 +53,7 @@ class ComparedMotion:
         times_s: Times of the samples [s], shape [S].
         samples: The motion at those times, shape [S, C].
         frames: The motion at the 30 Hz frames, shape [T, C].
-        markers_m: Markers at the frames [m], shape [T, M, 3]; None if they are not known.
+        markers_m: Markers at the frames [m], shape [T, M, 3]; M is 0 if they are not known.
     """
 
     experiment: Experiment
@@ -60,26 +61,12 @@ class ComparedMotion:
     times_s: FloatArray
     samples: FloatArray
     frames: FloatArray
-    markers_m: FloatArray | None
+    markers_m: FloatArray
 
-    @property
-    def deviation(self) -> FloatArray:
-        """Motion minus reference at the frames, shape [T, C]."""
-        return self.frames - self.band.mean
-
-    @property
-    def compared_deviation(self) -> FloatArray | None:
-        """Deviation of the coordinates that a verdict compares; None if these are unknown markers."""
-        points = self.band.points
-        if points is None:
-            return self.deviation
-        if self.markers_m is None or not self.markers_m.size:
-            return None
-        markers_mm = 1e3 * self.markers_m.reshape(len(self.markers_m), -1)
-        motion_mm = np.full(points.mean.shape, np.nan)
-        count = min(len(markers_mm), len(motion_mm))
-        motion_mm[:count] = markers_mm[:count]
-        return motion_mm - points.mean
+    def over_trials(self, metric: str, distance: float) -> float | None:
+        """Return a distance over the mean distance of real trials; None without one."""
+        mean = baseline_means(self.experiment, self.band).get(metric)
+        return None if mean is None else distance / mean
 
 
 def with_distances(score: Score, motion: ComparedMotion, *, is_moved: bool) -> Score:
@@ -90,42 +77,34 @@ def with_distances(score: Score, motion: ComparedMotion, *, is_moved: bool) -> S
         motion: The motion.
         is_moved: Whether the initial state had noise; the exact motion has the nominal start.
     """
-    score = _with_paper_distances(score, motion)
-    if motion.band.kind.is_solution:
+    band, frames = motion.band, motion.frames
+    rmse = trajectory_rmse(frames, band.mean)
+    # A recording may end before the episode. DTW would warp frames without a mean onto its last frame.
+    dtw = trajectory_dtw(frames[band.known], band.mean[band.known])
+    score = replace(
+        score,
+        rmse=rmse,
+        rmse_normalized=motion.over_trials("rmse", rmse),
+        dtw=dtw,
+        dtw_normalized=motion.over_trials("dtw", dtw),
+        compared_frames=int(band.compared.known.sum()),
+    )
+    if band.kind.is_solution:
         return _from_solution(score, motion)
     score = _from_trials(score, motion)
     return score if is_moved else _from_exact(score, motion)
 
 
-def _with_paper_distances(score: Score, motion: ComparedMotion) -> Score:
-    """Return a score with the distances of the paper."""
-    band, frames = motion.band, motion.frames
-    rmse = trajectory_rmse(frames, band.mean)
-    # A recording may end before the episode. DTW would warp frames without a mean onto its last frame.
-    dtw = trajectory_dtw(frames[band.known], band.mean[band.known])
-    means = baseline_means(motion.experiment, band)
-    return replace(
-        score,
-        rmse=rmse,
-        rmse_normalized=_over(rmse, means.get("rmse")),
-        dtw=dtw,
-        dtw_normalized=_over(dtw, means.get("dtw")),
-        compared_frames=int(band.compared.known.sum()),
-    )
-
-
-def _over(distance: float, mean: float | None) -> float | None:
-    """Return a distance over the mean distance of real trials; None without one."""
-    return None if mean is None else distance / mean
-
-
 def _from_solution(score: Score, motion: ComparedMotion) -> Score:
     """Return a score with the distance from a solution of the scene."""
-    band, deviation = motion.band, motion.compared_deviation
-    if deviation is None:
-        reason = "the reference compares markers, which are not given; RMSE and DTW compare g(t)"
-        return replace(score, refused=reason)
-    distance, size = band.compared.length(deviation), band.zero_motion_distance
+    band, compared = motion.band, motion.frames
+    if band.points is not None:
+        compared = 1e3 * motion.markers_m.reshape(len(motion.markers_m), -1)
+        if not compared.size:
+            reason = "the reference compares markers, which are not given; RMSE and DTW compare g(t)"
+            return replace(score, refused=reason)
+    distance = band.compared.length(compared - band.compared.mean)
+    size = band.zero_motion_distance
     interval = distance_interval(distance / size, band.standard_uncertainty / size)
     return replace(
         score,
@@ -140,8 +119,7 @@ def _from_trials(score: Score, motion: ComparedMotion) -> Score:
     """Return a score with the distance from real trials, and whether the motion is like theirs."""
     band, experiment = motion.band, motion.experiment
     is_aligned = has_unknown_release(experiment, band)
-    with_distance = _aligned if is_aligned else _unaligned
-    score = with_distance(score, motion)
+    score = (_aligned if is_aligned else _unaligned)(score, motion)
     assert score.distance is not None, "the RMSE is a distance"
     limit = real_limit(experiment, band, is_aligned=is_aligned)
     of_motion = is_like_trials(band, score.distance, limit)
@@ -162,15 +140,13 @@ def _unaligned(score: Score, motion: ComparedMotion) -> Score:
         return score
     ends = distance_interval(distance, band.standard_uncertainty)
     if band.trials is not None and len(band.trials) > 1:
-        ends = trials_interval(
-            motion.deviation, band.trials, uncertainty=band.uncertainty
-        )
+        deviation = motion.frames - band.mean
+        ends = trials_interval(deviation, band.trials, uncertainty=band.uncertainty)
     published = normalizing_baselines(motion.experiment, band)["rmse"]
-    error = (published.std or 0.0) / math.sqrt(PUBLISHED_TRIALS)
+    error = published.standard_uncertainty or 0.0
     half_width = student_t(PUBLISHED_TRIALS - 1) * error / published.mean
-    interval = ratio_interval(
-        ratio, np.divide(ends, distance), (half_width, half_width)
-    )
+    relative = np.divide(ends, distance)
+    interval = ratio_interval(ratio, relative, (half_width, half_width))
     return replace(score, primary_interval=interval)
 
 
@@ -178,7 +154,7 @@ def _aligned(score: Score, motion: ComparedMotion) -> Score:
     """Return a score with the distance after the best time shift."""
     band, times_s, samples = motion.band, motion.times_s, motion.samples
     offset_s, rmse = time_offset(times_s, samples, band.mean)
-    ratio = _over(rmse, baseline_means(motion.experiment, band).get("rmse_aligned"))
+    ratio = motion.over_trials("rmse_aligned", rmse)
     score = replace(
         score,
         time_offset_s=offset_s,
@@ -188,13 +164,9 @@ def _aligned(score: Score, motion: ComparedMotion) -> Score:
     without = band.baselines_without
     if not rmse or ratio is None or band.trials is None or without is None:
         return score
-    rates = np.gradient(samples, times_s, axis=0)
-    frames, velocity = np.split(
-        shifted_frames(
-            times_s, np.hstack([samples, rates]), offset_s, frame_count=len(band.mean)
-        ),
-        2,
-        axis=1,
+    frames, velocity = (
+        shifted_frames(times_s, values, offset_s, frame_count=len(band.mean))
+        for values in (samples, np.gradient(samples, times_s, axis=0))
     )
     # The simulation rests before its start.
     velocity[np.arange(len(frames)) / FRAME_RATE_HZ < offset_s] = 0.0
@@ -218,11 +190,12 @@ def _aligned(score: Score, motion: ComparedMotion) -> Score:
 
 def _from_exact(score: Score, motion: ComparedMotion) -> Score:
     """Return a score with the distance from the exact motion, and the cause of the distance from real trials."""
-    solution = exact_solution(motion.experiment)
-    if solution is None:
+    experiment, band, frames = motion.experiment, motion.band, motion.frames
+    places = exact_motion(experiment, np.arange(len(frames)) / FRAME_RATE_HZ)
+    samples = exact_motion(experiment, motion.times_s)
+    if places is None or samples is None:
         return score
-    band, frames = motion.band, motion.frames
-    exact = band.project(solution(np.arange(len(frames)) / FRAME_RATE_HZ))
+    exact = band.project(places)
     size = trajectory_rmse(exact, np.broadcast_to(exact[:1], exact.shape))
     distance = trajectory_rmse(frames, exact)
     of_trials = None
@@ -239,10 +212,9 @@ def _from_exact(score: Score, motion: ComparedMotion) -> Score:
         return score
     from_trials = trajectory_rmse(exact, band.mean)
     if score.time_offset_s is not None:
-        distance = distance_from_exact(solution, band, frames, score.time_offset_s)
+        distance = _distance_from_exact(experiment, band, frames, score.time_offset_s)
         # Both shifts interpolate between the same samples.
-        samples = band.project(solution(motion.times_s))
-        _, from_trials = time_offset(motion.times_s, samples, band.mean)
+        _, from_trials = time_offset(motion.times_s, band.project(samples), band.mean)
     assert score.distance is not None and score.real_limit is not None, "as documented"
     cause = cause_of(
         is_real=score.distance <= score.real_limit,
@@ -250,3 +222,30 @@ def _from_exact(score: Score, motion: ComparedMotion) -> Score:
         is_near_exact=distance <= limit,
     )
     return replace(score, exact=from_trials / of_trials, cause=cause)
+
+
+def _distance_from_exact(
+    experiment: Experiment, band: Band, frames: FloatArray, time_offset_s: float
+) -> float:
+    """Return the RMSE of a motion to the exact motion after the best time shift, in the unit of the reference.
+
+    The exact motion is shifted, not the other one: its law holds at any time, so nothing is interpolated.
+
+    Args:
+        experiment: Experiment with an exact motion.
+        band: The reference.
+        frames: The motion at the 30 Hz frames in the coordinates of the reference, shape [T, C].
+        time_offset_s: Time shift of the motion to the trials [s]. Frames that this shift moves beyond the end of the
+            trials do not count, as in the score.
+    """
+    times_s = np.arange(len(frames)) / FRAME_RATE_HZ
+    is_compared = times_s <= times_s[-1] - max(time_offset_s, 0.0)
+
+    def shifted_rmse(offset_s: FloatArray) -> FloatArray:
+        queries_s = times_s[is_compared] - offset_s[..., None]
+        exact = exact_motion(experiment, queries_s.ravel())
+        assert exact is not None, "the experiment has an exact motion"
+        projected = band.project(exact).reshape(*queries_s.shape, -1)
+        return rms_deviation(projected - frames[is_compared])
+
+    return best_offset(shifted_rmse)[1]

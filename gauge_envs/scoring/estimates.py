@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
@@ -13,7 +14,7 @@ from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.observables.kinds import Observable
 from gauge_envs.references.band import Band
 from gauge_envs.scene import ContactMode
-from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene.geometry import BoolArray, FloatArray, length_of
 from gauge_envs.scene.scene import GRAVITY_M_PER_S2
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.scoring.answers import TELLING_SHARE, Answer
@@ -104,14 +105,14 @@ class ComparedQuantity:
 
 
 RealValue = tuple[float | None, float | None]
-"""Value of real trials and its standard uncertainty."""
+"""Value of real trials and its standard uncertainty; None is unknown."""
 
 
 def _measured(
-    real: RealValue | None, value: float, uncertainty: float, unit: str
+    real: RealValue, value: float, uncertainty: float, unit: str = "1"
 ) -> ComparedQuantity:
     """Return a quantity with nine digits; the last bits of a fit depend on the alignment of memory."""
-    mean, error = real or (None, None)
+    mean, error = real
     return ComparedQuantity(
         value=float(f"{value:.9g}"),
         unit=unit,
@@ -119,6 +120,14 @@ def _measured(
         real=mean,
         real_uncertainty=error,
     )
+
+
+def _of_trials(values: list[float]) -> RealValue:
+    """Return mean and standard uncertainty of the values of trials; None for fewer than two."""
+    if len(values) < 2:
+        return None, None
+    scatter = float(np.std(values, ddof=1))
+    return float(np.mean(values)), scatter / math.sqrt(len(values))
 
 
 def estimates(
@@ -144,12 +153,12 @@ def estimates(
         return {}
     is_of_markers = score.observable is Observable.MARKER_POSITION
     if is_of_markers and score.period_axis is not None:
-        return _ringing(band, times_s, values)
+        seen = times_s <= (len(band.mean) - 1) / FRAME_RATE_HZ + 1e-6
+        return _ringing(band, times_s[seen], band.project(values[seen])[:, 0])
     is_position = score.observable is Observable.POSITION
     if not is_position or scene.joints or len(experiment.recorded) != 1:
         return {}
-    last_s = float(np.flatnonzero(band.known)[-1]) / FRAME_RATE_HZ
-    seen = times_s <= last_s + 1e-6
+    seen = times_s <= np.flatnonzero(band.known)[-1] / FRAME_RATE_HZ + 1e-6
     return _of_free_body(experiment, band, times_s[seen], values[seen])
 
 
@@ -160,28 +169,27 @@ def _of_free_body(
 
     Friction of an oblique impact turns the change of velocity away from the normal, so only a drop has a restitution.
     """
-    projected = band.project(values)
-    (name,) = experiment.recorded
-    body = experiment.scene.body(name)
-    contacts = [
-        contact
-        for contact in experiment.scene.contacts
+    scene, (name,) = experiment.scene, experiment.recorded
+    modes = {
+        contact.mode
+        for contact in scene.contacts
         if name in (*contact.first, *contact.second)
-    ]
-    falls = not any((*body.linear_velocity_m_per_s, *body.angular_velocity_rad_per_s))
-    is_impact = all(contact.mode is ContactMode.IMPACT for contact in contacts)
-    if contacts and is_impact and falls:
-        gravity = experiment.scene.gravity_m_per_s2
-        along = band.projection @ [0.0, 0.0, -gravity]
-        restitution = rebound(times_s, projected, gravity_m_per_s2=along)
+    }
+    if modes == {ContactMode.IMPACT} and scene.body(name).starts_at_rest:
+        gravity = scene.gravity_m_per_s2
+        restitution = _rebound(band, times_s, band.project(values), gravity)
         if restitution is not None:
-            return {
-                "restitution": _measured(_real_restitution(band), restitution, 0.0, "1")
-            }
+            return {"restitution": _measured(_real_restitution(band), restitution, 0.0)}
     # Motion across the slide is not of a slide from rest.
-    if contacts and is_uniformly_accelerated(times_s, values):
-        return _friction(experiment, band, times_s, values)
-    return {}
+    if not modes or not is_uniformly_accelerated(times_s, values):
+        return {}
+    direction = _direction(values)
+    if not MIN_INCLINE <= -direction[2] <= MAX_INCLINE:
+        return {}
+    path_mm = (values - values[0]) @ direction
+    slope_rad = math.asin(-float(direction[2]))
+    slide = _friction(times_s, path_mm, slope_rad, scene.gravity_m_per_s2)
+    return {"friction": _measured(_real_friction(band), *slide)}
 
 
 def is_uniformly_accelerated(times_s: FloatArray, values: FloatArray) -> bool:
@@ -205,33 +213,16 @@ def is_uniformly_accelerated(times_s: FloatArray, values: FloatArray) -> bool:
     return total - largest <= MAX_MISFIT**2 * total
 
 
-def _of_trials(values: list[float]) -> tuple[float, float] | None:
-    """Return mean and standard uncertainty of the values of trials; None for fewer than two."""
-    if len(values) < 2:
-        return None
-    scatter = float(np.std(values, ddof=1))
-    return float(np.mean(values)), scatter / math.sqrt(len(values))
-
-
 # --- slide -----------------------------------------------------------------------------------------------------------
 
 
+def _direction(places: FloatArray) -> FloatArray:
+    """Return the unit vector from the first to the last place, shape [C]."""
+    path: FloatArray = places[-1] - places[0]
+    return path / length_of(path)
+
+
 def _friction(
-    experiment: Experiment, band: Band, times_s: FloatArray, values: FloatArray
-) -> dict[str, ComparedQuantity]:
-    """Return the friction of a slide, with the slope of its path."""
-    path = values[-1] - values[0]
-    direction = path / np.linalg.norm(path)
-    if not MIN_INCLINE <= -direction[2] <= MAX_INCLINE:
-        return {}
-    gravity = experiment.scene.gravity_m_per_s2
-    path_mm = (values - values[0]) @ direction
-    slope_rad = math.asin(-float(direction[2]))
-    friction, error = _friction_of(times_s, path_mm, slope_rad, gravity)
-    return {"friction": _measured(_real_friction(band), friction, error, "1")}
-
-
-def _friction_of(
     times_s: FloatArray, path_mm: FloatArray, slope_rad: float, gravity: float
 ) -> tuple[float, float]:
     """Return the friction of a path down a slope from 0, mu = (g sin - a) / (g cos), and its standard error.
@@ -240,7 +231,7 @@ def _friction_of(
     """
     moving = path_mm > 2.0
     if moving.sum() < MIN_SAMPLES:
-        moving = np.ones(len(path_mm), dtype=bool)
+        moving[:] = True
     path = times_s[moving], 1e-3 * path_mm[moving]
     acceleration = acceleration_m_per_s2(*path)
     error = acceleration_error_m_per_s2(*path) / (gravity * math.cos(slope_rad))
@@ -248,34 +239,38 @@ def _friction_of(
 
 
 @lru_cache(maxsize=64)
-def _real_friction(band: Band) -> RealValue | None:
-    """Return mean and standard uncertainty, tilt included, of the friction of real trials; None without trials."""
-    if band.trials is None or len(band.trials) < 2:
-        return None
-    path = band.mean[band.measured][-1] - band.mean[band.measured][0]
-    along = path / np.linalg.norm(path)
+def _real_friction(band: Band) -> RealValue:
+    """Return mean and standard uncertainty, tilt included, of the friction of real trials."""
+    if band.trials is None:
+        return None, None
+    along = _direction(band.mean[band.measured])
     direction = np.linalg.pinv(band.projection) @ along
-    sine = -float(direction[2] / np.linalg.norm(direction))
+    sine = -float(direction[2] / length_of(direction))
     if not MIN_INCLINE < sine < 1.0:
-        return None
+        return None, None
     slope_rad = math.asin(sine)
-    times_s = np.arange(len(band.mean)) / FRAME_RATE_HZ
     frictions = []
-    for trial in band.trials:
-        seen = band.measured & np.isfinite(trial).all(axis=1)
-        if seen.sum() >= MIN_SAMPLES:
-            path_mm = (trial[seen] - trial[seen][0]) @ along
-            friction, _ = _friction_of(
-                times_s[seen], path_mm, slope_rad, GRAVITY_M_PER_S2
-            )
-            frictions.append(friction)
-    real = _of_trials(frictions)
-    if real is None:
-        return None
-    mean, error = real
+    for times_s, places in _seen_trials(band, band.measured):
+        if len(places) >= MIN_SAMPLES:
+            path_mm = (places - places[0]) @ along
+            slide = _friction(times_s, path_mm, slope_rad, GRAVITY_M_PER_S2)
+            frictions.append(slide[0])
+    mean, error = _of_trials(frictions)
+    if mean is None or error is None:
+        return None, None
     # mu = tan - a / (g cos), so d mu / d slope = 1 + mu tan.
     of_tilt = math.radians(TILT_DEG) * (1.0 + mean * math.tan(slope_rad))
     return mean, math.hypot(error, of_tilt)
+
+
+def _seen_trials(
+    band: Band, frames: BoolArray | bool = True
+) -> Iterator[tuple[FloatArray, FloatArray]]:
+    """Yield the times [s] and places of each real trial at some frames, where all coordinates were captured."""
+    times_s = np.arange(len(band.mean)) / FRAME_RATE_HZ
+    for trial in () if band.trials is None else band.trials:
+        seen = frames & np.isfinite(trial).all(axis=1)
+        yield times_s[seen], trial[seen]
 
 
 # --- rebound ---------------------------------------------------------------------------------------------------------
@@ -302,55 +297,51 @@ def rebound(
     jumps = velocity[window:] - velocity[:-window]
     # Subtract the change of velocity in free flight. A second impact may change the velocity much less.
     sizes = np.linalg.norm(jumps - np.median(jumps, axis=0), axis=1)
-    hits = np.flatnonzero(sizes >= IMPACT_SHARE * sizes.max())
-    first = hits[0] + int(np.argmax(sizes[hits[0] : hits[0] + window]))
+    hit = int(np.argmax(sizes >= IMPACT_SHARE * sizes.max()))
+    first = hit + int(np.argmax(sizes[hit : hit + window]))
     if sizes[first] == 0.0:
         return None
-    normal = jumps[first] / np.linalg.norm(jumps[first])
-    if velocity[first] @ normal >= 0.0 or velocity[first + window] @ normal <= 0.0:
-        return None
+    normal = jumps[first] / length_of(jumps[first])
     gravity = -float(gravity_m_per_s2 @ normal)
-    if gravity <= 0.0:
+    is_reversed = velocity[first] @ normal < 0.0 < velocity[first + window] @ normal
+    if not is_reversed or gravity <= 0.0:
         return None
-    bounce = first_bounce(
-        times_s,
-        1e-3 * values @ normal,
-        gravity_m_per_s2=gravity,
-        contact_m=None,
-    )
+    heights_m = 1e-3 * values @ normal
+    bounce = first_bounce(times_s, heights_m, gravity_m_per_s2=gravity, contact_m=None)
     if bounce is None or bounce.misfit > MAX_MISFIT:
         return None
     return bounce.restitution
 
 
+def _rebound(
+    band: Band, times_s: FloatArray, projected: FloatArray, gravity: float
+) -> float | None:
+    """Return the restitution of a motion in the coordinates of a band."""
+    along = band.projection @ [0.0, 0.0, -gravity]
+    return rebound(times_s, projected, gravity_m_per_s2=along)
+
+
 @lru_cache(maxsize=64)
-def _real_restitution(band: Band) -> RealValue | None:
-    """Return mean and standard uncertainty of the restitution of real trials; None without trials."""
-    times_s = np.arange(len(band.mean)) / FRAME_RATE_HZ
-    gravity = band.projection @ [0.0, 0.0, -GRAVITY_M_PER_S2]
-    restitutions = []
-    for trial in () if band.trials is None else band.trials:
-        seen = np.isfinite(trial).all(axis=1)
-        if seen.sum() <= 2 * MIN_SAMPLES:
-            continue
-        value = rebound(times_s[seen], trial[seen], gravity_m_per_s2=gravity)
-        if value is not None:
-            restitutions.append(value)
-    return _of_trials(restitutions)
+def _real_restitution(band: Band) -> RealValue:
+    """Return mean and standard uncertainty of the restitution of real trials."""
+    restitutions = [
+        _rebound(band, times_s, places, GRAVITY_M_PER_S2)
+        for times_s, places in _seen_trials(band)
+        if len(places) > 2 * MIN_SAMPLES
+    ]
+    return _of_trials([value for value in restitutions if value is not None])
 
 
 # --- ringing ---------------------------------------------------------------------------------------------------------
 
 
 def _ringing(
-    band: Band, times_s: FloatArray, values: FloatArray
+    band: Band, times_s: FloatArray, heights_mm: FloatArray
 ) -> dict[str, ComparedQuantity]:
-    """Return frequency, decay rate and droop of the first coordinate of the band."""
-    seen = times_s <= (len(band.mean) - 1) / FRAME_RATE_HZ + 1e-6
-    heights_mm = band.project(values[seen])[:, 0]
+    """Return frequency, decay rate and droop of heights, and of the first coordinate of a band."""
     # The simulated body starts level. In a recording, a hand holds the body and may push it at the release.
     level_mm = float(heights_mm[0])
-    simulated = fit_ringing(times_s[seen], heights_mm, level_mm=level_mm)
+    simulated = fit_ringing(times_s, heights_mm, level_mm=level_mm)
     if simulated is None:
         return {}
     trials = _real_ringing(band, level_mm)
@@ -359,9 +350,8 @@ def _ringing(
         # A body that creeps has no frequency; the fit would give an arbitrary one.
         if simulated.damping_ratio > LARGEST_DAMPING_RATIO and name != "droop":
             continue
-        real_values = [getattr(trial, name)[0] for trial in trials]
-        single = (real_values[0], None) if real_values else None
-        real = _of_trials(real_values) or single
+        values = [getattr(trial, name)[0] for trial in trials]
+        real = (values[0], None) if len(values) == 1 else _of_trials(values)
         value, uncertainty = getattr(simulated, name)
         quantities[name] = _measured(real, value, uncertainty, unit)
     return quantities
@@ -369,15 +359,14 @@ def _ringing(
 
 @lru_cache(maxsize=64)
 def _real_ringing(band: Band, level_mm: float) -> tuple[Ringing, ...]:
-    """Return the ringing of each real trial."""
+    """Return the ringing of each real trial, or of the mean without trials."""
     trials = band.mean[None] if band.trials is None else band.trials
     times_s = np.arange(len(band.mean)) / FRAME_RATE_HZ
-    fits = [fit_ringing(times_s, trial[:, 0], level_mm=level_mm) for trial in trials]
+    fits = (fit_ringing(times_s, trial[:, 0], level_mm=level_mm) for trial in trials)
     return tuple(fit for fit in fits if fit is not None)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Ringing:
+class Ringing(NamedTuple):
     """Constants of z(t) = level - droop + A exp(-decay t) cos(2 pi f t + phase), each with its standard uncertainty.
 
     Attributes:
@@ -412,44 +401,52 @@ def fit_ringing(
     Returns:
         The constants; None if a height is not finite, all heights are equal, or there are too few samples.
     """
+    from scipy.optimize import curve_fit
+
     later = times_s >= HIGHER_MODES_S
-    times, signal = times_s[later], heights_mm[later]
-    if (
-        len(times) < MIN_RINGING_SAMPLES
-        or not np.isfinite(signal).all()
-        or np.ptp(signal) == 0.0
-    ):
+    signal = heights_mm[later]
+    # The range of heights of which one is unknown is NaN.
+    if len(signal) < MIN_RINGING_SAMPLES or not np.ptp(signal) > 0.0:
         return None
-    since_s = times - times[0]
+    since_s = times_s[later] - times_s[later][0]
     mean = float(signal.mean())
     padded_count = PADDING * len(signal)
     spectrum = np.fft.rfft((signal - mean) * np.exp(-since_s), padded_count)
     strongest = 1 + int(np.abs(spectrum[1:]).argmax())
     start_hz = strongest / (padded_count * float(since_s[1]))
-
-    from scipy.optimize import least_squares
-
-    def misfit(constants: FloatArray) -> FloatArray:
-        hang, cosine, sine, decay, frequency = constants
-        angle = 2.0 * math.pi * frequency * since_s
-        swing = cosine * np.cos(angle) + sine * np.sin(angle)
-        return np.asarray(hang + np.exp(-decay * since_s) * swing - signal)
-
     # The spectrum does not give the phase. Two first guesses a quarter of a swing apart reach the same minimum.
     half = 0.5 * float(np.ptp(signal))
-    scale = [1.0, 1.0, 1.0, 1.0, 0.1]
     fits = [
-        least_squares(misfit, [mean, *size, 1.0, start_hz], x_scale=scale)
+        curve_fit(
+            damped_swing,
+            since_s,
+            signal,
+            [mean, *size, 1.0, start_hz],
+            method="trf",
+            x_scale=[1.0, 1.0, 1.0, 1.0, 0.1],
+            full_output=True,
+        )
         for size in ((half, 0.0), (0.0, half))
     ]
-    best = min(fits, key=lambda fit: fit.cost)
-    # An exact fit, as in a test, has a covariance of 0.
-    variance = 2.0 * best.cost / (len(times) - len(scale))
-    covariance = np.linalg.pinv(best.jac.T @ best.jac) * variance
-    errors = np.sqrt(np.maximum(np.diag(covariance), 0.0)).tolist()
-    hang, _, _, decay, frequency = best.x.tolist()
+    constants, covariance, *_ = min(fits, key=lambda fit: length_of(fit[2]["fvec"]))
+    hang, _, _, decay, frequency = constants.tolist()
+    errors = np.sqrt(np.diag(covariance)).tolist()
     return Ringing(
         frequency=(abs(frequency), errors[4]),
         decay_rate=(decay, errors[3]),
         droop=(level_mm - hang, errors[0]),
     )
+
+
+def damped_swing(
+    times_s: FloatArray,
+    hang: float,
+    cosine: float,
+    sine: float,
+    decay: float,
+    frequency: float,
+) -> FloatArray:
+    """Return the heights of a damped swing about a height."""
+    angle = 2.0 * math.pi * frequency * times_s
+    swing = cosine * np.cos(angle) + sine * np.sin(angle)
+    return hang + np.exp(-decay * times_s) * swing

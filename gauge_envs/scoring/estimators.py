@@ -55,15 +55,13 @@ def acceleration_m_per_s2(times_s: FloatArray, path_m: FloatArray) -> float:
 
 
 def acceleration_error_m_per_s2(times_s: FloatArray, path_m: FloatArray) -> float:
-    """Return the standard error of `acceleration_m_per_s2` from the scatter about the parabola.
+    """Return the standard error of `acceleration_m_per_s2` from the scatter about the parabola, for four samples up.
 
     It is the square root of the last element of s^2 (X'X)^-1. s^2 is the sum of squared residuals over the number of
     samples minus three (Draper and Smith, Applied Regression Analysis, section 5.2).
     """
-    coefficients, unscaled = np.polyfit(times_s, path_m, 2, cov="unscaled")
-    residual_m = path_m - np.polyval(coefficients, times_s)
-    variance_m2 = float(residual_m @ residual_m) / max(len(times_s) - 3, 1)
-    return 2.0 * math.sqrt(variance_m2 * float(unscaled[0, 0]))
+    _, covariance = np.polyfit(times_s, path_m, 2, cov=True)
+    return 2.0 * math.sqrt(covariance[0, 0])
 
 
 def slide_friction(
@@ -109,10 +107,23 @@ def pendulum_period_s(
     return float(4.0 * small * ellipk(math.sin(0.5 * amplitude_rad) ** 2))
 
 
+def passes_s(times_s: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the times of upward and of downward passes through 0 [s], linear between samples.
+
+    Args:
+        times_s: Times [s], ascending, shape [sample_count].
+        values: Displacement, any unit, same shape.
+    """
+    is_above = values > 0.0
+    before = np.flatnonzero(is_above[:-1] != is_above[1:])
+    share = values[before] / (values[before] - values[before + 1])
+    crossings_s = times_s[before] + share * np.diff(times_s)[before]
+    is_upward = is_above[before + 1]
+    return crossings_s[is_upward], crossings_s[~is_upward]
+
+
 def mean_period_s(times_s: FloatArray, values: FloatArray) -> float:
     """Return the mean period of an oscillation about 0: the mean time between upward passes through 0.
-
-    Linear interpolation between two samples gives the time of a pass.
 
     Args:
         times_s: Times [s], shape [sample_count].
@@ -121,12 +132,10 @@ def mean_period_s(times_s: FloatArray, values: FloatArray) -> float:
     Returns:
         Period [s]; NaN for fewer than two passes.
     """
-    before = np.flatnonzero((values[:-1] < 0.0) & (values[1:] >= 0.0))
-    share = values[before] / (values[before] - values[before + 1])
-    crossings_s = times_s[before] + share * np.diff(times_s)[before]
-    if len(crossings_s) < 2:
+    upward_s, _ = passes_s(times_s, values)
+    if len(upward_s) < 2:
         return math.nan
-    return float(crossings_s[-1] - crossings_s[0]) / (len(crossings_s) - 1)
+    return float(upward_s[-1] - upward_s[0]) / (len(upward_s) - 1)
 
 
 def hann_mean(values: FloatArray) -> FloatArray:
@@ -196,12 +205,12 @@ def first_bounce(
     if contact_m is None:
         restitution = _restitution_where_met(flight_in, flight_out)
     else:
-        fallen_m = released_m
-        if fallen_m is None:
-            fallen_m = start_m if flight_in is None else flight_in.top_m
+        if released_m is None:
+            released_m = flight_in.top_m if flight_in else start_m
         # A hop with too few samples for a fit has the height of its highest sample.
-        hop_m = float(heights_m[low:].max()) if flight_out is None else flight_out.top_m
-        restitution = math.sqrt(max(hop_m - contact_m, 0.0) / (fallen_m - contact_m))
+        hop_m = flight_out.top_m if flight_out else float(heights_m[low:].max())
+        square = max(hop_m - contact_m, 0.0) / (released_m - contact_m)
+        restitution = math.sqrt(square)
     if restitution is None:
         return None
     flights = filter(None, (flight_in, flight_out))
@@ -248,10 +257,8 @@ def _restitution_where_met(
         return None
     time_s = (flight_in.start_m - flight_out.start_m) / gained
     fall = flight_in.gravity_m_per_s2 * time_s
-    speed_in, speed_out = (
-        fall - flight_in.speed_m_per_s,
-        flight_out.speed_m_per_s - fall,
-    )
+    speed_in = fall - flight_in.speed_m_per_s
+    speed_out = flight_out.speed_m_per_s - fall
     return speed_out / speed_in if speed_in > 0.0 and speed_out > 0.0 else None
 
 
@@ -260,8 +267,8 @@ def _first_minimum(heights_m: FloatArray, *, below_m: float) -> int | None:
     fallen = np.flatnonzero(heights_m < below_m)
     if not len(fallen):
         return None
-    rises = np.diff(heights_m[fallen[0] :]) > 0.0
-    return int(fallen[0] + np.argmax(rises)) if rises.any() else len(heights_m) - 1
+    is_rising = np.append(np.diff(heights_m[fallen[0] :]) > 0.0, True)
+    return int(fallen[0] + is_rising.argmax())
 
 
 def _flight_after(

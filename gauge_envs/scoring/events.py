@@ -1,24 +1,21 @@
 """Events of a swing (paper, LSD, MTE, PD, EL): longest rest, momentum transfer, period, energy loss.
 
-Each function takes evenly sampled coordinates and no reference. It returns NaN for an event that does not happen, and
-raises ShapeError for wrong input. The paper does not define two estimators; `scoring/README.md` defines them.
+Each function takes evenly sampled coordinates and no reference. It returns NaN for an event that does not happen. The
+paper does not define two estimators; `scoring/README.md` defines them.
 """
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 from numpy.polynomial import Polynomial
-from numpy.typing import ArrayLike
 
-from gauge_envs.errors import ShapeError
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.references.metrics import EVENT_METRICS
 from gauge_envs.scene import Hinge
 from gauge_envs.scene.geometry import FloatArray, IntArray, length_of
 from gauge_envs.scene.timing import FRAME_RATE_HZ
-
-PUBLISHED_TRIALS = 20
-"""Number of real trials of each task whose mean and standard deviation are published (paper, "Data Acquisition")."""
+from gauge_envs.scoring.estimators import passes_s
 
 MAX_REST_RANGE_MM = 0.5
 """Largest height minus smallest height of one rest [mm] (paper, LSD)."""
@@ -58,7 +55,7 @@ def event_values(experiment: Experiment, frames: FloatArray) -> dict[str, float]
     baseline = experiment.baselines.get("pd")
     count = len(frames) if baseline is None else baseline.frames
     signal_mm = frames[:count, "xyz".index(experiment.score.period_axis or "x")]
-    functions = {
+    functions: dict[str, Callable[[], float]] = {
         "lsd": lambda: longest_stationary_duration(heights_mm),
         "mte": lambda: momentum_transfer_efficiency(
             heights_mm, drop_height_mm=drop_mm, rest_height_mm=rest_mm
@@ -69,7 +66,7 @@ def event_values(experiment: Experiment, frames: FloatArray) -> dict[str, float]
     return {metric: functions[metric]() for metric in wanted}
 
 
-def longest_stationary_duration(height_mm: ArrayLike) -> float:
+def longest_stationary_duration(height_mm: FloatArray) -> float:
     """Return the longest rest of a cradle's ball between two impulses (paper, equation and thresholds of LSD).
 
     A rest is a run of frames whose height changes at most at the speed limit. Its duration counts the frames of its
@@ -84,23 +81,20 @@ def longest_stationary_duration(height_mm: ArrayLike) -> float:
     Returns:
         Number of frames of the longest rest over the frame rate, s; 0 if the ball never rests between impulses.
     """
-    heights = _samples("height_mm", height_mm, min_count=2)
-    is_slow = np.abs(np.diff(heights)) * FRAME_RATE_HZ <= MAX_REST_SPEED_MM_PER_S
+    is_slow = np.abs(np.diff(height_mm)) * FRAME_RATE_HZ <= MAX_REST_SPEED_MM_PER_S
     edges = np.diff(np.concatenate(([False], is_slow, [False])).astype(int))
     # Step k joins frames k and k + 1.
-    longest = 0
-    for first, last in np.flatnonzero(edges).reshape(-1, 2):
-        if first > 0 and last < len(heights) - 1:
-            rest = heights[first : last + 1]
-            longest = max(longest, _longest_window(rest, MAX_REST_RANGE_MM))
+    rests = [
+        _longest_window(height_mm[first : last + 1], MAX_REST_RANGE_MM)
+        for first, last in np.flatnonzero(edges).reshape(-1, 2)
+        if first > 0 and last < len(height_mm) - 1
+    ]
+    longest = max(rests, default=0)
     return longest / FRAME_RATE_HZ if longest >= 2 else 0.0
 
 
 def swing_times(
-    times_s: ArrayLike,
-    height_mm: ArrayLike,
-    *,
-    rest_height_mm: float,
+    times_s: FloatArray, height_mm: FloatArray, *, rest_height_mm: float
 ) -> dict[str, FloatArray]:
     """Return when a cradle's last ball leaves the row and returns to it.
 
@@ -113,15 +107,8 @@ def swing_times(
         `leaves_s`, the time at which each swing begins; `returns_s`, the time at which it ends; and `rests_s`, the time
         between a swing and the next. `returns_s` has one entry less if the trajectory ends during a swing.
     """
-    heights = _samples("height_mm", height_mm, min_count=2) - (
-        rest_height_mm + LEAVE_HEIGHT_MM
-    )
-    times = np.asarray(times_s)
-    before = np.flatnonzero((heights[:-1] > 0) != (heights[1:] > 0))
-    share = heights[before] / (heights[before] - heights[before + 1])
-    crossings = times[before] + share * (times[before + 1] - times[before])
-    rising = heights[before + 1] > 0
-    leaves, returns = crossings[rising], crossings[~rising]
+    over_mm = height_mm - (rest_height_mm + LEAVE_HEIGHT_MM)
+    leaves, returns = passes_s(times_s, over_mm)
     # A trajectory that starts above rest begins within a swing, which does not count.
     returns = returns[returns > leaves[0]] if leaves.size else returns[:0]
     rests = leaves[1:] - returns[: len(leaves) - 1]
@@ -129,7 +116,7 @@ def swing_times(
 
 
 def momentum_transfer_efficiency(
-    height_mm_out: ArrayLike,
+    height_mm_out: FloatArray,
     *,
     drop_height_mm: float,
     rest_height_mm: float,
@@ -145,18 +132,16 @@ def momentum_transfer_efficiency(
         sqrt(rise / drop) as a ratio; the paper's Table 5 prints percent. The rise is the height of the first maximum
         after the ball leaves rest, located between frames. NaN if the ball never leaves rest, or never turns.
     """
-    height_mm_out = _samples("height_mm_out", height_mm_out, min_count=2)
     left = np.flatnonzero(height_mm_out > rest_height_mm + LEAVE_HEIGHT_MM)
     apexes = _turning_points(height_mm_out)
     apexes = apexes[apexes >= left[0]] if left.size else left
     if not apexes.size:
         return math.nan
-    return math.sqrt(
-        (_apex_height(height_mm_out, apexes[0]) - rest_height_mm) / drop_height_mm
-    )
+    rise_mm = _apex_height(height_mm_out, apexes[0]) - rest_height_mm
+    return math.sqrt(rise_mm / drop_height_mm)
 
 
-def oscillation_period(signal: ArrayLike, *, frame_rate_hz: float = 30.0) -> float:
+def oscillation_period(signal: FloatArray, *, frame_rate_hz: float = 30.0) -> float:
     """Return the period of the dominant Fourier component (paper, PD).
 
     The maximum of the Hann-windowed spectrum is located between the bins: a bin of 300 frames is 0.1 Hz wide, coarser
@@ -170,7 +155,6 @@ def oscillation_period(signal: ArrayLike, *, frame_rate_hz: float = 30.0) -> flo
     Returns:
         Period, s; NaN for a constant signal.
     """
-    signal = _samples("signal", signal, min_count=4)
     if np.ptp(signal) <= 1e-12 * np.abs(signal).max():
         return math.nan
     window = np.hanning(len(signal) + 2)[1:-1]
@@ -184,17 +168,12 @@ def oscillation_period(signal: ArrayLike, *, frame_rate_hz: float = 30.0) -> flo
 
     from scipy.optimize import minimize_scalar
 
-    low, high = (peak - 1) / padded_count, min((peak + 1) / padded_count, 0.5)
-    minimum = minimize_scalar(
-        negative_power,
-        bounds=(low, high),
-        method="bounded",
-        options={"xatol": 1e-10},
-    )
+    bounds = (peak - 1) / padded_count, min((peak + 1) / padded_count, 0.5)
+    minimum = minimize_scalar(negative_power, bounds=bounds, options={"xatol": 1e-10})
     return 1.0 / (float(minimum.x) * frame_rate_hz)
 
 
-def energy_loss(height_mm: ArrayLike, *, rest_height_mm: float) -> float:
+def energy_loss(height_mm: FloatArray, *, rest_height_mm: float) -> float:
     """Return the share of energy that a pendulum loses between its first and last turning point (paper, EL).
 
     At a turning point all energy is potential, so heights are enough. A trajectory that starts from rest has its first
@@ -208,37 +187,17 @@ def energy_loss(height_mm: ArrayLike, *, rest_height_mm: float) -> float:
     Returns:
         (E_start - E_end) / E_start; NaN for fewer than two turning points.
     """
-    height_mm = _samples("height_mm", height_mm, min_count=3)
     turning_points = _turning_points(height_mm)
     # From rest the drop grows as t^2, fourfold after twice the time. It grows less if the ball falls already.
     first_drop, second_drop = height_mm[0] - height_mm[1:3]
-    if first_drop >= 0 and 3.0 * first_drop <= second_drop <= 4.5 * first_drop:
-        start_mm, remaining = float(height_mm[0]), turning_points
-    elif turning_points.size:
-        start_mm, remaining = (
-            _apex_height(height_mm, turning_points[0]),
-            turning_points[1:],
-        )
-    else:
+    is_from_rest = 0.0 <= 3.0 * first_drop <= second_drop <= 4.5 * first_drop
+    if len(turning_points) + is_from_rest < 2:
         return math.nan
-    if not remaining.size:
-        return math.nan
-    end_mm = _apex_height(height_mm, remaining[-1])
+    end_mm = _apex_height(height_mm, turning_points[-1])
+    start_mm = float(height_mm[0])
+    if not is_from_rest:
+        start_mm = _apex_height(height_mm, turning_points[0])
     return (start_mm - end_mm) / (start_mm - rest_height_mm)
-
-
-def _samples(name: str, values: ArrayLike, *, min_count: int) -> FloatArray:
-    samples = np.asarray(values, dtype=np.float64)
-    if samples.ndim != 1 or len(samples) < min_count:
-        raise ShapeError(
-            f"{name} has shape {samples.shape}; it needs one coordinate at {min_count} frames or more"
-        )
-    if not np.isfinite(samples).all():
-        frame = np.flatnonzero(~np.isfinite(samples))[0]
-        raise ShapeError(
-            f"{name} is {samples[frame]} at frame {frame}; a finite number is needed"
-        )
-    return samples
 
 
 def _longest_window(heights: FloatArray, height_range: float) -> int:
@@ -251,13 +210,16 @@ def _longest_window(heights: FloatArray, height_range: float) -> int:
     return longest
 
 
+def local_maxima(values: FloatArray) -> IntArray:
+    """Return the samples above the previous one and not below the next one."""
+    inner = values[1:-1]
+    return 1 + np.flatnonzero((inner > values[:-2]) & (inner >= values[2:]))
+
+
 def _turning_points(heights: FloatArray) -> IntArray:
     """Return the frames of local maxima with enough neighbours to locate the maximum between frames."""
-    inner = heights[1:-1]
-    maxima = np.flatnonzero((inner > heights[:-2]) & (inner >= heights[2:])) + 1
-    return maxima[
-        (maxima >= _APEX_NEIGHBOURS) & (maxima < len(heights) - _APEX_NEIGHBOURS)
-    ]
+    maxima, last = local_maxima(heights), len(heights) - 1 - _APEX_NEIGHBOURS
+    return maxima[(maxima >= _APEX_NEIGHBOURS) & (maxima <= last)]
 
 
 def _apex_height(heights: FloatArray, frame: int) -> float:

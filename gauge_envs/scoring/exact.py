@@ -8,15 +8,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
-from functools import partial
 
 import numpy as np
 
 from gauge_envs.experiments.experiment import Experiment
-from gauge_envs.observables.kinds import Observable
 from gauge_envs.references.band import ExactLaw
 from gauge_envs.scene import Box, Contact, Motion, Plane, RigidBody, Scene, Sphere
-from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene.geometry import FloatArray, length_of
 from gauge_envs.scoring.reference import reference_band
 
 CONTACT_TOLERANCE_M = 1e-4
@@ -28,45 +26,36 @@ FLAT_TOLERANCE = 1e-6
 REST_SPEED_M_PER_S = 1e-6
 """Speed below which a ball no longer rebounds [m/s]: it would rise by less than 1e-13 m."""
 
-MotionOfTime = Callable[[FloatArray], FloatArray]
-"""Positions [m], shape [S, 3], at times since the release [s], shape [S], not negative."""
+Law = Callable[[Scene, RigidBody, FloatArray], FloatArray | None]
+"""Positions of a body [m], shape [S, 3], at times since the release [s], shape [S], not negative; None without."""
 
-Law = Callable[[Scene, RigidBody], MotionOfTime | None]
+TINY = np.finfo(float).tiny
 
 
 def exact_motion(experiment: Experiment, times_s: FloatArray) -> FloatArray | None:
     """Return g(t) of the exact solution of a scene, shape [S, D]; None without a closed form.
 
-    Args:
-        experiment: Experiment with any constants and start; see `exact_solution`.
-        times_s: Any times since the release [s], shape [S]. Before 0 the body rests.
-    """
-    solution = exact_solution(experiment)
-    return None if solution is None else solution(times_s)
-
-
-def exact_solution(experiment: Experiment) -> MotionOfTime | None:
-    """Return `exact_motion` of an experiment as a function of the times; None without a closed form.
-
     A scene outside the limits of its law has none: another body, a sliding body with a start velocity, or a start
     without the contact that the law needs. Neither has a scene that a model file of an engine replaces and changes.
+
+    Args:
+        experiment: Experiment with any constants and start.
+        times_s: Any times since the release [s], shape [S]. Before 0 the body rests.
     """
     band = reference_band(experiment)
-    if band is None or band.exact_law is None:
-        return None
     is_replaced = experiment.edited and experiment.model_file is not None
-    is_position = experiment.score.observable is Observable.POSITION
-    if is_replaced or not is_position or len(experiment.recorded) != 1:
+    if band is None or band.exact_law is None or is_replaced:
         return None
-    body = experiment.scene.body(experiment.recorded[0])
-    positions_m = LAWS[band.exact_law](experiment.scene, body)
-    if positions_m is None:
-        return None
-    return lambda times_s: 1e3 * positions_m(np.maximum(times_s, 0.0))
+    law, scene = LAWS[band.exact_law], experiment.scene
+    body = scene.body(experiment.recorded[0])
+    positions_m = law(scene, body, np.maximum(times_s, 0.0))
+    return None if positions_m is None else 1e3 * positions_m
 
 
-def coulomb_slide(scene: Scene, body: RigidBody) -> MotionOfTime | None:
-    """Return the motion of a box that slides down a fixed box from rest.
+def coulomb_slide(
+    scene: Scene, body: RigidBody, times_s: FloatArray
+) -> FloatArray | None:
+    """Return the positions of a box that slides down a fixed box from rest, see `Law`.
 
     The board at the angle theta carries m g cos(theta), so friction pulls with up to mu m g cos(theta) against the
     m g sin(theta) of the weight: the box slides by g (sin(theta) - mu cos(theta)) t^2 / 2 along the steepest descent.
@@ -78,24 +67,22 @@ def coulomb_slide(scene: Scene, body: RigidBody) -> MotionOfTime | None:
         return None
     for board, contact in _supports(scene, body, Box):
         normal = _normal_of_rest(board, body)
-        if normal is None:
+        if normal is None or normal[2] <= 0.0:
             continue
         weight = np.array([0.0, 0.0, -scene.gravity_m_per_s2])
         load = -float(weight @ normal)
-        if load <= 0.0:
-            continue
         along = weight + load * normal
-        pull = float(np.linalg.norm(along))
-        acceleration = pull - contact.friction * load
-        direction = along / max(pull, np.finfo(float).tiny)
-        change = 0.5 * max(acceleration, 0.0) * direction
-        start_m = np.array(body.pose.position_m)
-        return lambda times_s: start_m + np.outer(times_s**2, change)
+        pull = length_of(along)
+        acceleration = max(pull - contact.friction * load, 0.0)
+        change = 0.5 * acceleration * (along / max(pull, TINY))
+        return np.add(body.pose.position_m, np.outer(times_s**2, change))
     return None
 
 
-def ideal_rebounds(scene: Scene, ball: RigidBody) -> MotionOfTime | None:
-    """Return the motion of a ball that flies, with any velocity and spin, and rebounds from a level plane.
+def ideal_rebounds(
+    scene: Scene, ball: RigidBody, times_s: FloatArray
+) -> FloatArray | None:
+    """Return the positions of a ball that flies, with any velocity and spin, and rebounds from a plane, see `Law`.
 
     The flight is a parabola. An impact takes no time; see `_rebound`. After the last rebound the ball rests on the
     plane and keeps its horizontal velocity: it rolls, if it no longer slips.
@@ -104,20 +91,17 @@ def ideal_rebounds(scene: Scene, ball: RigidBody) -> MotionOfTime | None:
     """
     if not isinstance(ball.shape, Sphere):
         return None
-    radius_m = ball.shape.radius_m
     for plane, contact in _supports(scene, ball, Plane):
-        rest_m = plane.pose.position_m[2] + radius_m
+        rest_m = plane.pose.position_m[2] + ball.shape.radius_m
         is_level = plane.pose.matrix[2, 2] >= 1.0 - FLAT_TOLERANCE
-        if not is_level or ball.pose.position_m[2] < rest_m - CONTACT_TOLERANCE_M:
-            continue
-        gravity = scene.gravity_m_per_s2
-        return partial(_bounces, ball, radius_m, rest_m, contact, gravity)
+        if is_level and ball.pose.position_m[2] >= rest_m - CONTACT_TOLERANCE_M:
+            gravity = scene.gravity_m_per_s2
+            return _bounces(ball, rest_m, contact, gravity, times_s)
     return None
 
 
 def _bounces(
     ball: RigidBody,
-    radius_m: float,
     rest_m: float,
     contact: Contact,
     gravity_m_per_s2: float,
@@ -127,56 +111,53 @@ def _bounces(
     place_m = np.array(ball.pose.position_m)
     velocity = np.array(ball.linear_velocity_m_per_s)
     spin = np.array(ball.angular_velocity_rad_per_s)
-    inertia = ball.inertia_kg_m2 or 0.4 * ball.mass_kg * radius_m**2
-    compliance = ball.mass_kg * radius_m**2 / inertia
     weight, start_s = gravity_m_per_s2, 0.0
     positions_m = np.tile(place_m, (len(times_s), 1))
-    while True:
+    while start_s <= times_s.max():
         since_s = times_s - start_s
         path_m = place_m + np.outer(since_s, velocity)
         path_m[:, 2] -= 0.5 * weight * since_s**2
         positions_m = np.where(since_s[:, None] >= 0.0, path_m, positions_m)
         if not weight:
-            return positions_m
+            break
         drop_m = max(place_m[2] - rest_m, 0.0)
         speed = math.sqrt(velocity[2] ** 2 + 2.0 * weight * drop_m)
         fall_s = (velocity[2] + speed) / weight
         start_s += fall_s
-        if start_s > times_s.max():
-            return positions_m
         place_m = np.array([*(place_m + fall_s * velocity)[:2], rest_m])
         velocity[2] = -speed
-        velocity, spin = _rebound(velocity, spin, radius_m, compliance, contact)
+        velocity, spin = _rebound(ball, velocity, spin, contact)
         if velocity[2] <= REST_SPEED_M_PER_S:
             velocity[2] = weight = 0.0
+    return positions_m
 
 
 def _rebound(
-    velocity: FloatArray,
-    spin: FloatArray,
-    radius_m: float,
-    compliance: float,
-    contact: Contact,
+    ball: RigidBody, velocity: FloatArray, spin: FloatArray, contact: Contact
 ) -> tuple[FloatArray, FloatArray]:
     """Return velocity [m/s] and spin [rad/s] of a rigid ball after an impact on a level plane.
 
     The normal speed u becomes e u. The slip s at the contact loses at most mu (1 + e) u of velocity, as friction of
-    Coulomb during the impact, and at most s / (1 + k) with k = m r^2 / I: then the ball grips and rolls.
+    Coulomb during the impact, and at most s / (1 + k): then the ball grips and rolls. k = m r^2 / I is 2.5 for a
+    uniform ball and 1.5 for a thin shell.
 
     Args:
+        ball: The ball.
         velocity: Velocity before it, downwards.
         spin: Angular velocity before it.
-        radius_m: Radius of the ball.
-        compliance: m r^2 / I: 2.5 for a uniform ball, 1.5 for a thin shell.
         contact: Friction and restitution of the pair.
     """
+    assert isinstance(ball.shape, Sphere), "a law of a ball"
+    radius_m = ball.shape.radius_m
+    inertia = ball.inertia_kg_m2 or 0.4 * ball.mass_kg * radius_m**2
+    compliance = ball.mass_kg * radius_m**2 / inertia
     normal = -(1.0 + contact.restitution) * velocity[2]
     slip = np.array(
         [velocity[0] - radius_m * spin[1], velocity[1] + radius_m * spin[0], 0.0]
     )
-    slip_speed = float(np.linalg.norm(slip))
+    slip_speed = length_of(slip)
     loss = min(contact.friction * normal, slip_speed / (1.0 + compliance))
-    change = -loss * slip / max(slip_speed, np.finfo(float).tiny)
+    change = -loss * slip / max(slip_speed, TINY)
     torque = np.array([change[1], -change[0], 0.0])
     rebound = velocity + change
     rebound[2] += normal
@@ -197,7 +178,7 @@ def _supports(
         for pair in scene.colliding_pairs(contact):
             if body.name not in pair:
                 continue
-            other = scene.body(pair[1] if pair[0] == body.name else pair[0])
+            other = scene.body(pair[pair[0] == body.name])
             if other.motion is Motion.FIXED and isinstance(other.shape, shape):
                 yield other, contact
 
@@ -213,7 +194,7 @@ def _normal_of_rest(board: RigidBody, body: RigidBody) -> FloatArray | None:
     cosines = np.abs(body.pose.matrix.T @ normal)
     thickness_m = float(cosines @ np.array(body.shape.size_m))
     gap_m = outside_m[axis] - 0.5 * thickness_m
-    is_over = (np.delete(outside_m, axis) <= 0.0).all()
+    is_over = np.count_nonzero(outside_m > 0.0) <= 1
     is_flat = cosines.max() >= 1.0 - FLAT_TOLERANCE
     is_touching = abs(gap_m) <= CONTACT_TOLERANCE_M
     return normal if is_over and is_flat and is_touching else None

@@ -32,9 +32,6 @@ MIN_OVERLAP = 0.6
 ROUNDING_S = 1e-9
 """Rounding error of a time [s]."""
 
-BLOCK_SIZE = 30_000
-"""Numbers in a block of deviations, 240 kB."""
-
 TIE = 1e-12
 """Relative difference of two path costs, or of two RMSE, that count as equal; a sum in another order changes less."""
 
@@ -49,17 +46,17 @@ def trajectory_rmse(simulated: ArrayLike, real_mean: ArrayLike) -> float:
         real_mean: Mean over real trials at the same frames, same shape and unit; NaN where nothing was measured.
 
     Raises:
-        ShapeError: The shapes differ, a simulated value is not finite, or nothing was measured.
+        ShapeError: A simulated value is not finite, or nothing was measured.
     """
-    first = _trajectory("simulated", simulated)
-    second = _trajectory("real_mean", real_mean, allow_missing=True)
-    if first.shape != second.shape:
-        raise ShapeError(f"simulated has shape {first.shape}, real_mean {second.shape}")
-    difference = first - second
-    frame_count = np.count_nonzero(~np.isnan(difference).all(axis=1))
-    if frame_count == 0:
-        raise ShapeError("simulated and real_mean share no measured entry")
-    return math.sqrt(np.nansum(np.square(difference)) / frame_count)
+    first, second = _trajectories(simulated, real_mean)
+    return float(rms_deviation(first - second))
+
+
+def rms_deviation(deviation: FloatArray) -> FloatArray:
+    """Return the root mean square over frames with a known value of a deviation, shape [..., T, C]; NaN is unknown."""
+    counts = (~np.isnan(deviation).all(axis=-1)).sum(axis=-1)
+    squares = np.nansum(np.square(deviation), axis=(-2, -1))
+    return np.asarray(np.sqrt(squares / counts))
 
 
 def trajectory_dtw(simulated: ArrayLike, real_mean: ArrayLike) -> float:
@@ -75,67 +72,45 @@ def trajectory_dtw(simulated: ArrayLike, real_mean: ArrayLike) -> float:
     Raises:
         ShapeError: A simulated value is not finite, or nothing was measured.
     """
-    first = _trajectory("simulated", simulated)
-    second = _trajectory("real_mean", real_mean, allow_missing=True)
-    if first.shape[1] != second.shape[1]:
-        raise ShapeError(
-            f"simulated has {first.shape[1]} coordinates, real_mean {second.shape[1]}"
-        )
-    second = second[np.isfinite(second).any(axis=1)]
-    if not len(second):
-        raise ShapeError("simulated and real_mean share no measured entry")
-    local = _frame_distances(first, second)
-    path = _optimal_path(local)
-    return float(local[path[:, 0], path[:, 1]].mean())
+    first, second = _trajectories(simulated, real_mean)
+    local = _frame_distances(first, second[np.isfinite(second).any(axis=1)])
+    total = _path_costs(local)
+    row, column = local.shape
+    distances = []
+    while row and column:
+        distances.append(local[row - 1, column - 1])
+        up, left = total[row + column - 1, row - 1 : row + 1]
+        if total[row + column - 2, row - 1] <= min(up, left) * (1.0 + TIE):
+            row, column = row - 1, column - 1
+        elif up <= left:
+            row -= 1
+        else:
+            column -= 1
+    return float(np.mean(distances[::-1]))
 
 
 def _frame_distances(first: FloatArray, second: FloatArray) -> FloatArray:
     """Return the Euclidean distances of all pairs of frames over measured coordinates, shape [T1, T2]."""
     is_measured = np.isfinite(second)
     means = np.where(is_measured, second, 0.0)
-    squares = np.empty((len(first), len(second)))
-    # Blocks of frames fit in the cache of the processor.
-    block = max(1, BLOCK_SIZE // means.size)
-    for start in range(0, len(first), block):
-        deviation = (first[start : start + block, None] - means) * is_measured
-        squares[start : start + block] = np.einsum("abc,abc->ab", deviation, deviation)
-    return np.sqrt(squares)
+    deviations = ((frame - means) * is_measured for frame in first)
+    return np.sqrt([np.einsum("ij,ij->i", rows, rows) for rows in deviations])
 
 
-def _optimal_path(local: FloatArray) -> IntArray:
-    """Return the cells of the path with the smallest summed cost, from first to last, shape [cell_count, 2].
+def _path_costs(local: FloatArray) -> FloatArray:
+    """Return the smallest summed cost of a path to each cell, shape [T1 + T2 + 1, T1 + 1].
 
-    The cells of an anti-diagonal depend only on the two anti-diagonals before it. So each is one vector operation.
+    The cells of an anti-diagonal depend only on the two anti-diagonals before it. So each is one vector operation, and
+    the cell (i, j), counted from 1, is in row i + j and column i of the result.
     """
     row_count, column_count = local.shape
-    total = np.full((row_count + 1, column_count + 1), np.inf)
+    total = np.full((row_count + column_count + 1, row_count + 1), np.inf)
     total[0, 0] = 0.0
-    # Slices of flat arrays are three times as fast as arrays of indices.
-    sums, costs, width = total.ravel(), local.ravel(), column_count + 1
-    for diagonal in range(row_count + column_count - 1):
-        row = max(0, diagonal - column_count + 1)
-        count = min(diagonal + 1, row_count) - row
-        begin = diagonal + row * (column_count - 1)
-        stride = max(column_count - 1, 1)
-        cost = costs[begin : begin + count * stride : stride]
-        corner = diagonal + row * column_count
-        below, above, left, before = (
-            sums[start : start + count * column_count : column_count]
-            for start in (corner + width + 1, corner + 1, corner + width, corner)
-        )
-        below[:] = cost + np.minimum(np.minimum(above, left), before)
-    row, column = row_count - 1, column_count - 1
-    cells = [(row, column)]
-    while row or column:
-        up, left = total[row, column + 1], total[row + 1, column]
-        if total[row, column] <= min(up, left) * (1.0 + TIE):
-            row, column = row - 1, column - 1
-        elif up <= left:
-            row -= 1
-        else:
-            column -= 1
-        cells.append((row, column))
-    return np.array(cells[::-1])
+    for row, costs in enumerate(local, start=1):
+        total[row + 1 : row + 1 + column_count, row] = costs
+    for before, last, cells in zip(total, total[1:], total[2:], strict=False):
+        cells[1:] += np.minimum(np.minimum(last[:-1], last[1:]), before[:-1])
+    return total
 
 
 def time_offset(
@@ -164,24 +139,17 @@ def time_offset(
     Raises:
         ShapeError: The times are not strictly ascending, or nothing was measured.
     """
-    values = _trajectory("simulated", simulated)
-    real = _trajectory("real_mean", real_mean, allow_missing=True)
+    values, real = _trajectories(simulated, real_mean)
     times = np.asarray(times_s, dtype=np.float64)
     if not (np.diff(times) > 0).all():
         raise ShapeError("times_s: strictly ascending times are needed")
-    is_known = ~np.isnan(real).all(axis=1)
-    if not is_known.any():
-        raise ShapeError("simulated and real_mean share no measured entry")
-    known = np.flatnonzero(is_known)
+    known = np.flatnonzero(np.isfinite(real).any(axis=1))
     needed = known[math.ceil(MIN_OVERLAP * len(known)) - 1]
     earliest_s = max(earliest_s, needed / FRAME_RATE_HZ - float(times[-1]))
 
     def shifted_rmse(offset_s: FloatArray) -> FloatArray:
         shifted = shifted_frames(times, values, offset_s, frame_count=len(real))
-        deviation = shifted - real
-        counts = (~np.isnan(deviation).all(axis=-1)).sum(axis=-1)
-        squares = np.nansum(np.square(deviation), axis=(-2, -1))
-        return np.asarray(np.sqrt(squares / counts))
+        return rms_deviation(shifted - real)
 
     return best_offset(shifted_rmse, earliest_s)
 
@@ -207,7 +175,6 @@ def best_offset(
         minimum = minimize_scalar(
             shifted_rmse,
             bounds=np.clip(ends_s, earliest_s, MAX_TIME_OFFSET_S),
-            method="bounded",
             options={"xatol": OFFSET_TOLERANCE_S},
         )
         if minimum.fun < rmse * (1.0 - TIE):
@@ -239,6 +206,11 @@ def shifted_frames(
     return frames
 
 
+def nearest_sample(times_s: FloatArray, queries_s: FloatArray) -> IntArray:
+    """Return the index of the sample nearest to each of some times [s]."""
+    return np.searchsorted(0.5 * (times_s[1:] + times_s[:-1]), queries_s)
+
+
 def frame_index(
     times_s: FloatArray, frame_count: int, *, name: str = "trajectory"
 ) -> IntArray:
@@ -248,15 +220,14 @@ def frame_index(
         ShapeError: A frame has no sample within 0.1 ms (`FRAME_TOLERANCE_S`), before or after it.
     """
     frames_s = np.arange(frame_count) / FRAME_RATE_HZ
-    between_s = 0.5 * (times_s[1:] + times_s[:-1])
-    index = np.searchsorted(between_s, frames_s)
+    index = nearest_sample(times_s, frames_s)
     missing = np.abs(times_s[index] - frames_s) > FRAME_TOLERANCE_S
     if missing.any():
         frame = int(missing.argmax())
         raise ShapeError(
             f"{name} needs {frame_count} frames at 30 Hz: no sample at frame {frame} (t = {frames_s[frame]:.4f} s)"
         )
-    return np.asarray(index)
+    return index
 
 
 def interpolated(
@@ -273,20 +244,32 @@ def interpolated(
     return np.stack(columns, axis=-1)
 
 
-def _trajectory(
-    name: str, values: ArrayLike, *, allow_missing: bool = False
-) -> FloatArray:
-    """Return the values as a checked float array of shape [frame_count, coordinate_count], both above 0."""
-    trajectory = np.asarray(values, dtype=np.float64)
-    if trajectory.ndim != 2 or trajectory.size == 0:
+def check_finite(name: str, values: FloatArray) -> None:
+    """Raise ShapeError if a value of a trajectory, shape [frame_count, coordinate_count], is not finite."""
+    wrong = np.argwhere(~np.isfinite(values))
+    if len(wrong):
+        frame, coordinate = wrong[0]
         raise ShapeError(
-            f"{name} has shape {trajectory.shape}; [frame_count, coordinate_count] is needed, neither of them 0"
-        )
-    wrong = np.isinf(trajectory) if allow_missing else ~np.isfinite(trajectory)
-    if wrong.any():
-        frame, coordinate = np.argwhere(wrong)[0]
-        raise ShapeError(
-            f"{name} is {trajectory[frame, coordinate]} at frame {frame}, coordinate {coordinate}; "
+            f"{name} is {values[frame, coordinate]} at frame {frame}, coordinate {coordinate}; "
             "a finite number is needed"
         )
-    return trajectory
+
+
+def _trajectories(
+    simulated: ArrayLike, real_mean: ArrayLike
+) -> tuple[FloatArray, FloatArray]:
+    """Return two trajectories of the same coordinates as arrays; only the real one may have unknown values.
+
+    Raises:
+        ShapeError: The widths differ, a simulated value is not finite, or nothing was measured.
+    """
+    first, second = np.asarray(simulated, float), np.asarray(real_mean, float)
+    if first.ndim != 2 or first.shape[1:] != second.shape[1:]:
+        raise ShapeError(
+            f"simulated has shape {first.shape}, and real_mean {second.shape}; "
+            "[frame_count, coordinate_count] is needed, with the same coordinates"
+        )
+    check_finite("simulated", first)
+    if not np.isfinite(second).any():
+        raise ShapeError("simulated and real_mean share no measured entry")
+    return first, second

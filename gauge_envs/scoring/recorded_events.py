@@ -17,7 +17,7 @@ from gauge_envs.observables.deformation import deformation, solid_axes
 from gauge_envs.scene import Scene, Sphere
 from gauge_envs.scene.geometry import FloatArray, length_of
 from gauge_envs.scene.timing import FRAME_RATE_HZ
-from gauge_envs.scoring.events import oscillation_period, swing_times
+from gauge_envs.scoring.events import local_maxima, oscillation_period, swing_times
 
 CONTACT_S = 0.005
 """Time after a bounce that may belong to the contact [s]."""
@@ -78,10 +78,8 @@ def _cradle_s(motion: SampledMotion, *, times: str, number: int) -> float:
     """Return when the ball that starts at rest leaves or returns for the nth time, or how long it then rests."""
     heights_mm = motion.samples[:, 2]
     swings = swing_times(motion.times_s, heights_mm, rest_height_mm=heights_mm[0])
-    event_times_s = swings[times]
-    return (
-        float(event_times_s[number - 1]) if number <= len(event_times_s) else math.nan
-    )
+    found_s = swings[times][number - 1 : number]
+    return float(found_s[0]) if len(found_s) else math.nan
 
 
 def _slide_acceleration_m_per_s2(motion: SampledMotion) -> float:
@@ -99,12 +97,14 @@ def _turning_ratio(motion: SampledMotion) -> float:
     anchor_m = np.array(motion.scene.joints[0].anchor_m)
     string_m = 1e-3 * motion.samples - anchor_m
     angles = np.abs(np.arctan2(string_m[:, 0], -string_m[:, 2]))
-    turns = np.flatnonzero((angles[1:-1] > angles[:-2]) & (angles[1:-1] >= angles[2:]))
-    return float(angles[turns[2] + 1] / angles[0]) if len(turns) > 2 else math.nan
+    turns = local_maxima(angles)
+    return float(angles[turns[2]] / angles[0]) if len(turns) > 2 else math.nan
 
 
-def _bounce(motion: SampledMotion) -> tuple[FloatArray, FloatArray] | None:
-    """Return the velocities of a ball before and after it strikes a level plane [m/s]; None without a flight after it.
+def _bounce(motion: SampledMotion) -> FloatArray:
+    """Return the velocities of a ball before and after it strikes a level plane [m/s], shape [2, 3].
+
+    They are NaN without a flight after it.
 
     The flight before follows from the start of the scene. The samples after it are on a parabola with a known gravity.
     """
@@ -118,32 +118,30 @@ def _bounce(motion: SampledMotion) -> tuple[FloatArray, FloatArray] | None:
     fall_speed = math.sqrt(velocity[2] ** 2 + 2.0 * gravity * drop_m)
     since_s = motion.times_s - (velocity[2] + fall_speed) / gravity
     after = since_s > CONTACT_S
+    without = np.full((2, 3), np.nan)
     if after.sum() < MIN_SAMPLES:
-        return None
+        return without
     since_s, path_m = since_s[after], 1e-3 * motion.samples[after]
     straight_m = path_m + 0.5 * gravity * np.outer(since_s**2, [0.0, 0.0, 1.0])
     rise, start_m = np.polyfit(since_s, straight_m, 1)
     residual_m = straight_m - start_m - np.outer(since_s, rise)
     if length_of(residual_m) > MAX_MISFIT * length_of(path_m - path_m.mean(axis=0)):
-        return None
+        return without
     # A soft contact ends later than the law says, so the speed counts where the ball leaves the plane.
     square = rise[2] ** 2 + 2.0 * gravity * (start_m[2] - contact_m)
     rise[2] = math.sqrt(max(square, 0.0))
-    return np.array([*velocity[:2], -fall_speed]), rise
+    return np.array([[*velocity[:2], -fall_speed], rise])
 
 
 def _restitution(motion: SampledMotion) -> float:
     """Return the speed of a ball away from a level plane after a bounce over that towards it before."""
-    found = _bounce(motion)
-    return math.nan if found is None else float(found[1][2] / -found[0][2])
+    fall, rise = _bounce(motion)
+    return float(rise[2] / -fall[2])
 
 
 def _impulse_ratio(motion: SampledMotion) -> float:
     """Return the impulse against the motion along a level plane over that normal to it, in a bounce."""
-    found = _bounce(motion)
-    if found is None:
-        return math.nan
-    fall, rise = found
+    fall, rise = _bounce(motion)
     along = fall[:2] / length_of(fall[:2])
     return float((fall - rise)[:2] @ along / (rise - fall)[2])
 

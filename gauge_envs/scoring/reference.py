@@ -15,13 +15,12 @@ from gauge_envs.references.kind import Kind
 from gauge_envs.references.single_shot import single_shots
 from gauge_envs.references.tables import scoring_folder
 from gauge_envs.references.user_data import DataSource, own_band_file
-from gauge_envs.scene import Box, Cloth, Deformable, RigidBody, Scene
+from gauge_envs.scene import Box, Cloth, Deformable, RigidBody, Scene, Shape
 from gauge_envs.scene.diff import Change, ChangeKind, scene_changes
-from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene.geometry import Vector
 from gauge_envs.scene.states import nominal_states, scene_at
 from gauge_envs.scoring.user_file.gate import band_fault
 from gauge_envs.scoring.user_file.likely_mistakes import START_TOLERANCE_MM
-from gauge_envs.scoring.user_file.motion_checks import Fault
 
 SOLUTION_ALLOWS = frozenset({ChangeKind.SETTING, ChangeKind.LABEL})
 """Changes with which a solution of the scene of the task file still scores a scene."""
@@ -53,17 +52,12 @@ def reference_band(experiment: Experiment) -> Band | None:
     band = load_band(experiment.name, experiment.reference_source)
     if file is None or band is None:
         return None
-    shape = (len(band.mean), band.projection.shape[1])
-    expected_shape = (
-        experiment.spec.frame_count(experiment.variant),
-        len(experiment.coordinates),
-    )
-    if shape != expected_shape:
-        raise ReferenceFileError(
-            file,
-            None,
-            f"its frames and coordinates of g(t) are {shape}, but those of {experiment.name} are {expected_shape}",
-        )
+    shape = len(band.mean), band.projection.shape[1]
+    frame_count = experiment.spec.frame_count(experiment.variant)
+    expected = frame_count, len(experiment.coordinates)
+    if shape != expected:
+        problem = f"its frames and coordinates of g(t) are {shape}, but those of {experiment.name} are {expected}"
+        raise ReferenceFileError(file, None, problem)
     fault = _own_fault(band) if file == own_band_file(experiment.name) else None
     if fault is not None:
         raise ReferenceFileError(file.with_suffix(".npz"), None, str(fault))
@@ -83,10 +77,8 @@ def driven_trials_file(experiment: Experiment) -> Path | None:
     return None if is_other or not file.is_file() else file
 
 
-@lru_cache(maxsize=16)
-def _own_fault(band: Band) -> Fault | None:
-    """Return the fault of a band of a user, once for each version of its file."""
-    return band_fault(band)
+_own_fault = lru_cache(maxsize=16)(band_fault)
+"""The fault of a band of a user, found once for each version of its file."""
 
 
 def refusal(
@@ -196,26 +188,22 @@ def _starts_near(real: Scene, scene: Scene) -> bool:
 
 def _is_near(real: RigidBody | Deformable, body: RigidBody | Deformable) -> bool:
     """Return whether no corner of a body is further than `START_TOLERANCE_MM`, and its velocity is the real one."""
-    corners_m = _corners_m(body)
+    if isinstance(body, Cloth):
+        shape: Shape = Box(size_m=(*body.size_m, body.thickness_m))
+    else:
+        assert isinstance(body, RigidBody), "only a cloth or a rigid body can be free"
+        shape = body.shape
+    corners_m = shape.corners_m
     shifts_m = body.pose.to_world(corners_m) - real.pose.to_world(corners_m)
-    if 1e3 * np.linalg.norm(shifts_m, axis=1).max() > START_TOLERANCE_MM:
-        return False
-    return np.allclose(_velocity(body), _velocity(real), rtol=1e-9, atol=1e-12)
+    is_there = 1e3 * np.linalg.norm(shifts_m, axis=1).max() <= START_TOLERANCE_MM
+    velocities = _velocity(body), _velocity(real)
+    return bool(is_there) and np.allclose(*velocities, rtol=1e-9, atol=1e-12)
 
 
-def _corners_m(body: RigidBody | Deformable) -> FloatArray:
-    """Return the corners of a rigid body or a cloth in its frame [m], shape [corner_count, 3]."""
-    if isinstance(body, RigidBody):
-        return body.shape.corners_m
-    assert isinstance(body, Cloth), "only a cloth can be free"
-    return Box(size_m=(*body.size_m, body.thickness_m)).corners_m
-
-
-def _velocity(body: RigidBody | Deformable) -> tuple[float, ...]:
+def _velocity(body: RigidBody | Deformable) -> list[Vector]:
     """Return the start velocity [m/s] and the angular velocity [rad/s]; a deformable body starts at rest."""
-    if not isinstance(body, RigidBody):
-        return (0.0,) * 6
-    return (*body.linear_velocity_m_per_s, *body.angular_velocity_rad_per_s)
+    names = "linear_velocity_m_per_s", "angular_velocity_rad_per_s"
+    return [getattr(body, name, (0.0, 0.0, 0.0)) for name in names]
 
 
 def reference_kind(variant: str, source: DataSource = DataSource.BUNDLED) -> Kind:

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field
 from functools import cache
+from textwrap import indent, wrap
 from typing import Any, ClassVar
 
 from pydantic import TypeAdapter
 
 from gauge_envs.references.kind import Kind
 from gauge_envs.references.metrics import METRICS
-from gauge_envs.scoring.answers import Answer
-from gauge_envs.scoring.cause import DistanceCause
+from gauge_envs.scoring.answers import Answer, DistanceCause
 from gauge_envs.scoring.estimates import ComparedQuantity
 
 FROM_SOLUTION = "solution_distance"
@@ -25,6 +25,9 @@ EVENT_WORDS = {
     "el": "energy loss",
 }
 """Words for the events of the paper, by name."""
+
+MAX_LINE = 112
+"""Longest line of numbers in `repr` [characters]."""
 
 Interval = tuple[float, float]
 
@@ -89,10 +92,9 @@ class Score:
         """Distance that reports show first: `rmse`, `rmse_aligned` or `solution_distance`."""
         if Kind(self.kind).is_solution:
             return FROM_SOLUTION
-        names = (
-            name for name in ("rmse_aligned", "rmse") if getattr(self, name) is not None
-        )
-        return next(names, None)
+        if self.rmse_aligned is not None:
+            return "rmse_aligned"
+        return None if self.rmse is None else "rmse"
 
     @property
     def distance(self) -> float | None:
@@ -171,16 +173,14 @@ class Score:
     def __repr__(self) -> str:
         """Return at most ten lines; `to_dict` has all numbers."""
         left_out = ("events", "estimates", "refused")
-        numbers = [
-            f"{field.name}={_value_text(getattr(self, field.name))}"
-            for field in fields(self)
-            if field.name not in left_out and getattr(self, field.name) is not None
-        ]
-        rows = [
-            ", ".join(numbers[start : start + 4]) for start in range(0, len(numbers), 4)
-        ]
+        numbers = (
+            f"{name}={_value_text(value)}"
+            for name, value in vars(self).items()
+            if name not in left_out and value is not None
+        )
+        rows = wrap(", ".join(numbers), MAX_LINE)
         lines = [self.summary(), *rows, "; ".join(self._measured_texts[:8])]
-        inner = "\n".join(f"    {line}" for line in lines if line)
+        inner = indent("\n".join(filter(None, lines)), "    ")
         return f"Score(\n{inner}\n)"
 
     def to_dict(self) -> dict[str, Any]:

@@ -1,8 +1,9 @@
-"""Score a generalized trajectory against the reference of its experiment."""
+"""Score generalized trajectories against the reference of their experiment: one in full, or the distances of many."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
@@ -12,11 +13,16 @@ from gauge_envs.references.band import Band, recorded_events
 from gauge_envs.references.kind import Kind
 from gauge_envs.references.metrics import METRICS
 from gauge_envs.scene.geometry import FloatArray
-from gauge_envs.scoring.answers import united
-from gauge_envs.scoring.distances import ComparedMotion, with_distances
+from gauge_envs.scene.timing import SAMPLES_PER_FRAME
+from gauge_envs.scoring.answers import baseline_means, united
+from gauge_envs.scoring.distances import (
+    ComparedMotion,
+    has_unknown_release,
+    with_distances,
+)
 from gauge_envs.scoring.estimates import ComparedQuantity, estimates
-from gauge_envs.scoring.events import PUBLISHED_TRIALS, event_values
-from gauge_envs.scoring.metrics import frame_index
+from gauge_envs.scoring.events import event_values
+from gauge_envs.scoring.metrics import check_finite, frame_index, time_offset
 from gauge_envs.scoring.recorded_events import EVENTS, SampledMotion
 from gauge_envs.scoring.reference import has_real_structure, refusal
 from gauge_envs.scoring.score import Score
@@ -54,12 +60,22 @@ def score_trajectory(
     index = frame_index(times_s, experiment.frame_count, name=experiment.name)
     end = index[-1] + 1
     times_s, values, frames = times_s[:end], values[:end], values[index]
-    if not is_checked and np.isfinite(frames[0]).all():
+    check_finite(experiment.name, frames)
+    if not is_checked:
         fault = value_mistake(experiment, frames)
         if fault is not None:
             raise ShapeError(f"{experiment.name}: {fault}")
+    sampled = SampledMotion(
+        scene=experiment.scene,
+        times_s=times_s,
+        samples=values,
+        markers_m=np.empty((len(frames), 0, 3)) if markers_m is None else markers_m,
+    )
     reason = refusal(experiment, band, is_moved=is_moved)
-    events = _events(experiment, band, times_s, values, frames, markers_m)
+    events = {}
+    if has_real_structure(experiment):
+        events = _published_events(experiment, frames)
+        events |= _recorded_events(experiment, band, sampled)
     unit = experiment.score.observable.unit
     score = Score(
         kind=(Kind.NONE if band is None else band.kind).value,
@@ -78,57 +94,88 @@ def score_trajectory(
         times_s=times_s,
         samples=band.project(values),
         frames=band.project(frames),
-        markers_m=markers_m,
+        markers_m=sampled.markers_m,
     )
     return with_distances(score, motion, is_moved=is_moved)
 
 
-def _events(
-    experiment: Experiment,
-    band: Band | None,
-    times_s: FloatArray,
-    values: FloatArray,
-    frames: FloatArray,
-    markers_m: FloatArray | None,
+def score_worlds(
+    experiment: Experiment, band: Band, *, times_s: FloatArray, values: FloatArray
+) -> dict[str, FloatArray]:
+    """Return the distances of many trajectories from a reference; `score_trajectory` has the same numbers for one.
+
+    Args:
+        experiment: Experiment that was simulated.
+        band: Its reference.
+        times_s: Times of the samples [s], 180 a second from 0, shape [sample_count].
+        values: g(t) of each world in the band's unit, shape [world_count, sample_count, coordinate_count]. A world with
+            NaN at a frame has no distance.
+
+    Returns:
+        Arrays of shape [world_count] by field of `Score`, NaN for a world without a distance: `rmse`; and, where they
+        apply, `rmse_normalized`, `time_offset_s`, `rmse_aligned` and `rmse_aligned_normalized`.
+
+    Raises:
+        ShapeError: The arrays do not fit each other.
+    """
+    last = (experiment.frame_count - 1) * SAMPLES_PER_FRAME
+    width = band.projection.shape[1]
+    if values.shape[1:] != (len(times_s), width) or len(times_s) <= last:
+        raise ShapeError(
+            f"values have shape {values.shape}; [world_count, {max(len(times_s), last + 1)}, {width}] is needed, "
+            "with a time for each sample"
+        )
+    times_s, projected = times_s[: last + 1], values[:, : last + 1] @ band.projection.T
+    deviation = projected[:, ::SAMPLES_PER_FRAME] - band.mean
+    squares = np.where(np.isfinite(band.mean), np.square(deviation), 0.0).sum(
+        axis=(1, 2)
+    )
+    scores = {"rmse": np.sqrt(squares / np.count_nonzero(band.known))}
+    if has_unknown_release(experiment, band):
+        aligned = np.full((len(values), 2), np.nan)
+        for number in np.flatnonzero(np.isfinite(scores["rmse"])):
+            aligned[number] = time_offset(times_s, projected[number], band.mean)
+        scores["time_offset_s"], scores["rmse_aligned"] = aligned.T
+    for name, mean in baseline_means(experiment, band).items():
+        if name in scores:
+            scores[f"{name}_normalized"] = scores[name] / mean
+    return scores
+
+
+def _published_events(
+    experiment: Experiment, frames: FloatArray
 ) -> dict[str, ComparedQuantity]:
-    """Return the events of an episode with the published and the recorded values."""
-    if not has_real_structure(experiment):
-        return {}
+    """Return the events of the paper with their published values."""
     events = {}
     for metric, value in event_values(experiment, frames).items():
         row = experiment.baselines.get(metric)
-        std = None if row is None else row.std
-        events[metric] = _event(
-            value,
-            unit=METRICS[metric].unit or experiment.score.observable.unit,
-            real=None if row is None else row.mean,
-            real_uncertainty=None if std is None else std / math.sqrt(PUBLISHED_TRIALS),
-        )
-    if markers_m is None and experiment.scene.markers is not None:
-        return events
-    of_trial = () if band is None else band.events
-    for event in (*recorded_events(experiment.name), *of_trial):
-        motion = SampledMotion(
-            scene=experiment.scene,
-            times_s=times_s,
-            samples=values,
-            markers_m=np.empty((len(frames), 0, 3)) if markers_m is None else markers_m,
-            markers=event.markers,
-        )
-        events[event.name] = _event(
-            EVENTS[event.name](motion),
-            unit=event.unit,
-            real=event.value,
-            real_uncertainty=event.standard_uncertainty,
+        events[metric] = ComparedQuantity(
+            value=_or_none(value),
+            unit=METRICS[metric].unit_of(experiment.score.observable.unit),
+            real=row.mean if row else None,
+            real_uncertainty=row.standard_uncertainty if row else None,
         )
     return events
 
 
-def _event(
-    value: float, *, unit: str, real: float | None, real_uncertainty: float | None
-) -> ComparedQuantity:
-    """Return an event with its real value; NaN is an event that does not happen."""
-    known = None if math.isnan(value) else value
-    return ComparedQuantity(
-        value=known, unit=unit, real=real, real_uncertainty=real_uncertainty
-    )
+def _recorded_events(
+    experiment: Experiment, band: Band | None, motion: SampledMotion
+) -> dict[str, ComparedQuantity]:
+    """Return the events of recordings and of the trial with their real values; none if markers are not known."""
+    if not motion.markers_m.size and experiment.scene.markers is not None:
+        return {}
+    of_trial = () if band is None else band.events
+    return {
+        event.name: ComparedQuantity(
+            value=_or_none(EVENTS[event.name](replace(motion, markers=event.markers))),
+            unit=event.unit,
+            real=event.value,
+            real_uncertainty=event.standard_uncertainty,
+        )
+        for event in (*recorded_events(experiment.name), *of_trial)
+    }
+
+
+def _or_none(value: float) -> float | None:
+    """Return the value of an event; None for NaN, an event that does not happen."""
+    return None if math.isnan(value) else value

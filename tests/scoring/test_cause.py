@@ -9,8 +9,7 @@ import pytest
 from closed_forms import ball_mm, slide_mm
 
 from gauge_envs import load_experiment
-from gauge_envs.scoring.answers import Answer
-from gauge_envs.scoring.cause import DistanceCause
+from gauge_envs.scoring.answers import Answer, DistanceCause
 from gauge_envs.scoring.reference import reference_band
 from gauge_envs.scoring.trajectory import score_trajectory
 

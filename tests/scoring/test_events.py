@@ -8,7 +8,6 @@ from scipy.special import ellipk
 from swings import swung_rad
 
 from gauge_envs import load_experiment, reference_band
-from gauge_envs.errors import ShapeError
 from gauge_envs.scoring.estimators import mean_period_s
 from gauge_envs.scoring.events import (
     energy_loss,
@@ -116,8 +115,6 @@ def test_the_longest_rest_between_impulses_is_slow_and_within_the_range(
     heights, frames
 ):
     assert longest_stationary_duration(heights) == pytest.approx(frames / 30)
-    with pytest.raises(ShapeError):
-        longest_stationary_duration(np.column_stack([heights, heights]))
 
 
 def test_swings_begin_and_end_between_samples():

@@ -6,8 +6,7 @@ import pytest
 from gauge_envs.errors import ShapeError
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.scoring.reference import reference_band
-from gauge_envs.scoring.trajectory import score_trajectory
-from gauge_envs.scoring.worlds import score_worlds
+from gauge_envs.scoring.trajectory import score_trajectory, score_worlds
 
 
 @pytest.mark.parametrize(

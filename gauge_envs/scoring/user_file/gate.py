@@ -21,6 +21,7 @@ from gauge_envs.scoring.user_file.motion_checks import (
     RATES_HZ,
     Fault,
     against_law,
+    displacements,
     motion_fault,
     owners_of,
     place_of,
@@ -373,12 +374,6 @@ def _noise_mm(motions: FloatArray) -> FloatArray:
     with warnings.catch_warnings(action="ignore", category=RuntimeWarning):
         noise_mm = np.nanmedian(differences, axis=1) / (0.6745 * math.sqrt(20.0))
     return np.clip(np.nan_to_num(noise_mm), MIN_NOISE_MM, MAX_NOISE_MM)
-
-
-def displacements(motion: FloatArray) -> FloatArray:
-    """Return a motion relative to its first known position, shape [T, C]; NaN is unknown."""
-    first = np.isfinite(motion).argmax(axis=0)
-    return motion - np.take_along_axis(motion, first[None], axis=0)
 
 
 def _without_offset(deviations: FloatArray) -> FloatArray:

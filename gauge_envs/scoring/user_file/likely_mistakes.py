@@ -126,24 +126,20 @@ def corrections(places: FloatArray, unit: str) -> Iterator[tuple[str, FloatArray
         places: Places of the file, shape [point_count, 3].
         unit: Expected unit, `mm` or `m`. Simulators use metres, and motion capture uses millimetres.
     """
-    factor, wrong_unit = (1e3, "metres") if unit == "mm" else (1e-3, "millimetres")
-    action = "Multiply them by 1,000" if unit == "mm" else "Divide them by 1,000"
-    unit_text = f"the values look like {wrong_unit}. {action}"
-    yield unit_text, factor * places
-    for has_wrong_unit in (False, True):
-        scaled = factor * places if has_wrong_unit else places
+    factor, wrong_unit, action = 1e-3, "millimetres", "Divide them by 1,000"
+    if unit == "mm":
+        factor, wrong_unit, action = 1e3, "metres", "Multiply them by 1,000"
+    yield f"the values look like {wrong_unit}. {action}", factor * places
+    for scale, note in ((1.0, ""), (factor, f"; the unit looks like {wrong_unit}")):
         for order in itertools.permutations(range(3)):
             for signs in itertools.product((1.0, -1.0), repeat=3):
                 axes = ", ".join(
                     f"{'-' if sign < 0 else ''}{'xyz'[axis]}"
                     for axis, sign in zip(order, signs, strict=True)
                 )
-                if axes == "x, y, z":
-                    continue
-                text = f"the axes look exchanged. Write ({axes}) of your frame, so that z is up"
-                if has_wrong_unit:
-                    text += f"; the unit looks like {wrong_unit}"
-                yield text, scaled[:, list(order)] * signs
+                text = f"the axes look exchanged. Write ({axes}) of your frame, so that z is up{note}"
+                if axes != "x, y, z":
+                    yield text, scale * places[:, order] * signs
 
 
 def _listed(numbers: FloatArray) -> str:

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
@@ -13,7 +14,7 @@ import numpy as np
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.observables.kinds import Observable
 from gauge_envs.references.band import Band
-from gauge_envs.scene.geometry import FloatArray, IntArray
+from gauge_envs.scene.geometry import FloatArray, IntArray, length_of
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.scoring.metrics import MAX_TIME_OFFSET_S, time_offset
 from gauge_envs.scoring.user_file.likely_mistakes import start_values
@@ -99,6 +100,12 @@ def filled(values: FloatArray) -> FloatArray:
     return columns
 
 
+def displacements(motion: FloatArray) -> FloatArray:
+    """Return a motion relative to its first known position, shape [T, C]; NaN is unknown."""
+    first = np.isfinite(motion).argmax(axis=0)
+    return motion - np.take_along_axis(motion, first[None], axis=0)
+
+
 def motion_fault(names: Sequence[str], unit: str, values: FloatArray) -> Fault | None:
     """Return a lost marker, a jump, or a path out of the capture volume; None if the motion is possible.
 
@@ -119,12 +126,10 @@ def impossible_path(
     if unit != "mm":
         return
     owners, is_of = owners_of(names)
-    known = np.isfinite(frames)
-    starts = np.take_along_axis(frames, known.argmax(axis=0)[None], axis=0)
     speeds_m_per_s = FRAME_RATE_HZ * 1e-3 * np.diff(frames, axis=0)
     for motion, largest, text in (
         (speeds_m_per_s, MAX_SPEED_M_PER_S, "moves at {:.3g} m/s"),
-        (1e-3 * (frames - starts), MAX_PATH_M, "is {:.3g} m from its start"),
+        (1e-3 * displacements(frames), MAX_PATH_M, "is {:.3g} m from its start"),
     ):
         sizes = np.sqrt(np.square(np.nan_to_num(motion)) @ is_of)
         frame, owner = np.unravel_index(sizes.argmax(), sizes.shape)
@@ -225,24 +230,22 @@ def likely_rate_hz(band: Band | None, values: FloatArray) -> int | None:
     projected = band.project(values)
     if not MIN_MISFIT < _misfit(band, projected, FRAME_RATE_HZ) < np.inf:
         return None
-    misfits = {rate_hz: _misfit(band, projected, rate_hz) for rate_hz in RATES_HZ}
-    best_hz = min(RATES_HZ, key=lambda rate_hz: misfits[rate_hz])
-    return best_hz if misfits[best_hz] < MAX_MISFIT else None
+    misfit, best_hz = min((_misfit(band, projected, hz), hz) for hz in RATES_HZ)
+    return best_hz if misfit < MAX_MISFIT else None
 
 
 def _misfit(band: Band, projected: FloatArray, rate_hz: float) -> float:
     """Return the RMSE of rows at a rate over the root mean square of the displacements; infinite for little motion."""
     times_s = np.arange(len(projected)) / rate_hz
     squares = np.square(_displacements(band)).sum(axis=1)
-    count = min(len(squares), int(times_s[-1] * FRAME_RATE_HZ + 1e-9) + 1)
-    if squares[:count].sum() <= MIN_COVERED * squares.sum():
+    covered = squares[: int(times_s[-1] * FRAME_RATE_HZ + 1e-9) + 1]
+    if covered.sum() <= MIN_COVERED * squares.sum():
         return np.inf
-    times_s = times_s[times_s < count / FRAME_RATE_HZ]
+    rows = times_s < len(covered) / FRAME_RATE_HZ
+    mean = band.mean[: len(covered)]
     # A shift to earlier times would leave out frames, and resemble a lower rate.
-    _, rmse = time_offset(
-        times_s, projected[: len(times_s)], band.mean[:count], earliest_s=0.0
-    )
-    return rmse / float(np.sqrt(squares[:count].mean()))
+    _, rmse = time_offset(times_s[rows], projected[rows], mean, earliest_s=0.0)
+    return rmse / math.sqrt(covered.mean())
 
 
 def release_row(experiment: Experiment, times_s: FloatArray, values: FloatArray) -> int:
@@ -262,14 +265,14 @@ def release_row(experiment: Experiment, times_s: FloatArray, values: FloatArray)
         return 0
     since_s = times_s - times_s[0]
     distances_mm = np.abs(values - values[0]).max(axis=1)
-    noise_mm = float(distances_mm[since_s <= MAX_TIME_OFFSET_S].max())
+    noise_mm = distances_mm[since_s <= MAX_TIME_OFFSET_S].max()
     is_moving = distances_mm > 2.0 * noise_mm + ROUNDING_MM
-    if noise_mm > MAX_REST_MM or not is_moving.any():
-        return 0
-    row = int(is_moving.argmax()) - 1
+    # Without motion, the row is the first one.
+    row = max(int(is_moving.argmax()) - 1, 0)
     episode_s = (experiment.frame_count - 1) / FRAME_RATE_HZ
     is_whole = since_s[-1] - since_s[row] >= episode_s - MAX_JITTER_S
-    return row if is_whole and since_s[row] > MAX_TIME_OFFSET_S else 0
+    is_long_rest = noise_mm <= MAX_REST_MM and since_s[row] > MAX_TIME_OFFSET_S
+    return row if is_whole and is_long_rest else 0
 
 
 def start_across(experiment: Experiment, band: Band, start: FloatArray) -> str | None:
@@ -282,9 +285,7 @@ def start_across(experiment: Experiment, band: Band, start: FloatArray) -> str |
     """
     if experiment.score.observable is not Observable.POSITION:
         return None
-    shift_mm = start - start_values(experiment)
-    scored_mm = np.linalg.pinv(band.projection) @ band.projection @ shift_mm
-    across_mm = float(np.linalg.norm(shift_mm - scored_mm))
+    across_mm = length_of(_unscored(band, (start - start_values(experiment))[None]))
     if across_mm <= MAX_ACROSS_MM:
         return None
     return f"throughout: {across_mm:.3g} mm off across from the start of the scene, which is not scored"
@@ -302,17 +303,21 @@ def unusual_motion(
     """
     unit = experiment.score.observable.unit
     moved = frames - frames[0]
-    scored = band.project(moved)
-    scored_size = np.linalg.norm(scored, axis=1)
     yield from map(str, filter(None, [against_law(band, frames)]))
     yield from map(str, impossible_path(experiment.coordinates, unit, frames))
-    across = moved - scored @ np.linalg.pinv(band.projection).T
+    across = _unscored(band, moved)
     across_size = np.linalg.norm(across, axis=1)
     last = int(across_size.argmax())
-    if across_size[last] > max(MIN_JUMP_MM, MAX_UNSCORED * scored_size.max()):
+    scored = _largest(band.project(moved))
+    if across_size[last] > max(MIN_JUMP_MM, MAX_UNSCORED * scored):
         name = experiment.coordinates[np.abs(across[last]).argmax()]
         yield f"{place_of(last)}: {across_size[last]:.3g} {unit} of motion across is not scored, mainly {name}"
     yield from _held_to_end(experiment, band, frames)
+
+
+def _unscored(band: Band, shifts: FloatArray) -> FloatArray:
+    """Return the part of shifts of g(t), shape [T, D], in directions that a band does not score."""
+    return shifts - band.project(shifts) @ np.linalg.pinv(band.projection).T
 
 
 def against_law(band: Band, frames: FloatArray) -> Fault | None:
@@ -322,7 +327,7 @@ def against_law(band: Band, frames: FloatArray) -> Fault | None:
     # Later, oscillations of another period also move against each other.
     early = int(np.argmax(real_size >= 0.5 * real_size.max()))
     against = -float(moved[early] @ real[early]) / max(real_size[early], 1e-12)
-    size = max(float(np.linalg.norm(moved[early])), 0.2 * real_size[early])
+    size = max(length_of(moved[early]), 0.2 * real_size[early])
     if not against > 0.5 * size:
         return None
     problem = f"moves {against:.3g} {band.unit} against the reference"
@@ -357,8 +362,8 @@ def _held_to_end(
         # The reference hits nothing near this frame: its steps change slowly.
         steps = np.diff(real[start - 2 : start + 3], axis=0)
         is_smooth = _largest(np.diff(steps, axis=0)) <= 0.5 * _largest(steps)
-        rest = float(np.linalg.norm(np.ptp(real[start:][band.known[start:]], axis=0)))
-        if is_smooth and rest > MIN_REST_SHARE * np.linalg.norm(np.ptp(real, axis=0)):
+        rest = length_of(np.ptp(real[start:][band.known[start:]], axis=0))
+        if is_smooth and rest > MIN_REST_SHARE * length_of(np.ptp(real, axis=0)):
             yield (
                 f"{place_of(start)} to the end: {owner} keeps its values, and the reference moves on by "
                 f"{rest:.3g} {experiment.score.observable.unit}: the marker was lost"
@@ -370,8 +375,8 @@ def _largest(vectors: FloatArray) -> float:
 
 
 def _displacements(band: Band) -> FloatArray:
-    """Return the displacements of the reference from its first known frame, 0 at unknown ones, shape [T, C]."""
-    return np.nan_to_num(band.mean - band.mean[band.known][0])
+    """Return the displacements of the reference, 0 at unknown frames, shape [T, C]."""
+    return np.nan_to_num(displacements(band.mean))
 
 
 def place_of(frame: int) -> str:

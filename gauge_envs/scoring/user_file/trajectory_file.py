@@ -35,7 +35,7 @@ from gauge_envs.observables.kinds import Observable
 from gauge_envs.reading import faults_of, reading
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
-from gauge_envs.scoring.metrics import frame_index, interpolated
+from gauge_envs.scoring.metrics import frame_index, interpolated, nearest_sample
 from gauge_envs.scoring.reference import reference_band
 from gauge_envs.scoring.user_file.motion_checks import (
     MAX_JITTER_S,
@@ -106,18 +106,16 @@ def file_origin(file: Path) -> FileOrigin:
     """
     if file.suffix.lower() != ".json":
         return FileOrigin()
-    content = _json_object(file)
-    name, jitter = content.get("id"), content.get("jitter")
-    if not isinstance(name, str | None):
-        raise TrajectoryFileError(
-            f"{file}: id is {name!r}, expected text such as 'GAUGE/SlopeSlider-2-wood'"
-        )
-    jitter = jitter or {}
-    if not isinstance(jitter, dict) or not all(
-        isinstance(value, int | float) and math.isfinite(value)
-        for value in jitter.values()
-    ):
-        raise TrajectoryFileError(f"{file}: jitter is {jitter!r:.40}, expected numbers")
+    with faults_of(file, TrajectoryFileError):
+        content = _json_object(file)
+        name, jitter = content.get("id"), content.get("jitter") or {}
+        if not isinstance(name, str | None):
+            raise ValueError(
+                f"id is {name!r}, expected text such as 'GAUGE/SlopeSlider-2-wood'"
+            )
+        is_mapping = isinstance(jitter, dict)
+        if not is_mapping or not np.isfinite([*map(_number, jitter.values())]).all():
+            raise ValueError(f"jitter is {jitter!r:.40}, expected numbers")
     return FileOrigin(
         id=name,
         parameters=content.get("parameters"),
@@ -136,50 +134,14 @@ def read_trajectory(file: Path, experiment: Experiment) -> UserTrajectory:
     Raises:
         TrajectoryFileError: The file cannot be read, or a row, a column or a time is wrong.
     """
-    from scipy.interpolate import make_interp_spline
-
     readers = {".csv": _read_csv, ".npz": _read_npz, ".json": _read_json}
-    suffix = file.suffix.lower()
-    if suffix not in readers:
-        raise TrajectoryFileError(
-            f"{file}: unknown suffix {file.suffix!r}, expected {', '.join(readers)}"
-        )
-    samples, rest_s = _without_rest(readers[suffix](file, experiment), experiment)
-    frame_count = experiment.frame_count
-    frames_s = np.arange(frame_count) / FRAME_RATE_HZ
-    rate_hz = None
-    if samples.times_s is None:
-        rate_hz = likely_rate_hz(reference_band(experiment), samples.values)
-    times_s = _times_at_frames(file, samples, frames_s, rate_hz)
-    lost = lost_marker(
-        experiment.coordinates,
-        experiment.score.observable.unit,
-        times_s,
-        samples.values,
-    )
-    if lost is not None:
-        raise TrajectoryFileError(f"{file}: {lost}")
-    missing_s = np.setdiff1d(frames_s, times_s)
-    all_times_s = np.union1d(times_s, frames_s)
-    all_times_s = all_times_s[(all_times_s >= 0.0) & (all_times_s <= frames_s[-1])]
-    # A clock may start up to 5 ms late or stop up to 5 ms early: lines go on there.
-    values = make_interp_spline(times_s, samples.values, k=1)(all_times_s)
-    markers_m = None
-    if experiment.score.observable is Observable.MARKER_POSITION:
-        at_frames = values[frame_index(all_times_s, frame_count)]
-        markers_m = 1e-3 * at_frames.reshape(frame_count, -1, 3)
-    elif samples.markers_m is not None:
-        markers_m = _markers_at_frames(
-            file, experiment, times_s, samples.markers_m, frames_s
-        )
-    return UserTrajectory(
-        times_s=all_times_s,
-        values=values,
-        interpolated_frames=len(missing_s),
-        rest_s=rest_s,
-        likely_rate_hz=rate_hz,
-        markers_m=markers_m,
-    )
+    with faults_of(file, TrajectoryFileError):
+        if file.suffix.lower() not in readers:
+            raise ValueError(
+                f"unknown suffix {file.suffix!r}, expected {', '.join(readers)}"
+            )
+        samples = readers[file.suffix.lower()](file, experiment)
+        return _at_frames(samples, experiment)
 
 
 # --- formats ---------------------------------------------------------------------------------------------------------
@@ -191,19 +153,37 @@ class _Samples:
 
     Attributes:
         values: g(t) at the samples, shape [T, C].
-        times_s: Times of the samples [s], shape [T]; None for those of the 30 Hz frames.
+        times_s: Times of the samples [s], shape [T]; those of the 30 Hz frames if the file has none.
+        has_times: Whether the file has times.
         markers_m: Markers [m], shape [T, M, 3], or with fewer rows, the first 30 Hz frames.
     """
 
     values: FloatArray
-    times_s: FloatArray | None
-    markers_m: FloatArray | None = None
+    times_s: FloatArray
+    has_times: bool
+    markers_m: FloatArray | None
+
+    @classmethod
+    def of(
+        cls,
+        values: FloatArray,
+        times_s: FloatArray | None,
+        markers_m: FloatArray | None = None,
+    ) -> _Samples:
+        """Return samples at times, or at the frames."""
+        has_times = times_s is not None
+        if times_s is None:
+            times_s = np.arange(len(values)) / FRAME_RATE_HZ
+        return cls(
+            values=values, times_s=times_s, has_times=has_times, markers_m=markers_m
+        )
 
 
 def _read_csv(file: Path, experiment: Experiment) -> _Samples:
-    header: list[str] | None = None
+    names = [*experiment.coordinates]
     rows: list[list[str]] = []
     places: list[str] = []
+    header: list[str] = []
     with reading(file, TrajectoryFileError, "a CSV file") as content:
         reader = csv.reader(csv_text(content))
         for line in reader:
@@ -215,27 +195,21 @@ def _read_csv(file: Path, experiment: Experiment) -> _Samples:
                 continue
             if cells[0].startswith("#"):
                 # numpy.savetxt writes its header as a comment.
-                names = [name for cell in cells if (name := cell.strip("# "))]
-                header = names if TIME in names else header
-            elif not rows and not any(map(_is_number, cells)) and "" not in cells:
+                titles = [title for cell in cells if (title := cell.strip("# "))]
+                header = titles if TIME in titles else header
+            elif not rows and all(map(_is_name, cells)):
                 header = cells
             else:
                 rows.append(cells)
                 places.append(f"line {reader.line_num}")
-    coordinates = experiment.coordinates
-    names = list(coordinates)
-    if header is not None:
-        names = _column_names(file, header, experiment)
-    columns = _numbers(file, rows, places, names, experiment)
-    return _Samples(
-        values=columns[:, [names.index(name) for name in coordinates]],
-        times_s=columns[:, names.index(TIME)] if TIME in names else None,
-    )
+    if header:
+        names = _column_names(header, experiment)
+    table = dict(zip(names, _numbers(rows, places, names, experiment).T, strict=True))
+    columns = [table[name] for name in experiment.coordinates]
+    return _Samples.of(np.stack(columns, axis=1), table.get(TIME))
 
 
-def _column_names(
-    file: Path, header: Sequence[str], experiment: Experiment
-) -> list[str]:
+def _column_names(header: Sequence[str], experiment: Experiment) -> list[str]:
     """Return the coordinate or `time_s` of each column of a header."""
     coordinates = experiment.coordinates
     names = []
@@ -243,20 +217,20 @@ def _column_names(
         name, bracket, unit = (part.strip(" ]") for part in column.partition("["))
         wanted = _unit_of(name, experiment)
         if bracket and name in (TIME, *coordinates) and unit != wanted:
-            raise TrajectoryFileError(
-                f"{file}: header: column {name} is in [{unit:.20}], expected [{wanted}]"
+            raise ValueError(
+                f"header: column {name} is in [{unit:.20}], expected [{wanted}]"
             )
         names.append(name)
-    columns = {name for name in names if name != TIME}
-    if len(columns) == len(coordinates) and not columns & set(coordinates):
+    columns = {*names} - {TIME}
+    if len(columns) == len(coordinates) and not columns & {*coordinates}:
         # The names are from another simulator; the columns have the order of the coordinates.
         in_order = iter(coordinates)
         names = [name if name == TIME else next(in_order, "") for name in names]
     is_complete = {TIME, *names} == {TIME, *coordinates}
-    if not is_complete or len(names) != len(set(names)):
+    if not is_complete or len(names) > len({*names}):
         titles = shorten(", ".join(header), MAX_HEADER, placeholder=" ...")
-        raise TrajectoryFileError(
-            f"{file}: header: the columns are {titles}; {_expected(experiment)}, "
+        raise ValueError(
+            f"header: the columns are {titles}; {_expected(experiment)}, "
             f"separated by commas, and {TIME} for the times"
         )
     return names
@@ -265,68 +239,50 @@ def _column_names(
 def _read_npz(file: Path, experiment: Experiment) -> _Samples:
     with reading(file, TrajectoryFileError, "an NPZ file") as content:
         arrays = npz_arrays(content, ("g", TIME, "markers_m"))
-    plain = {name: array.tolist() for name, array in arrays.items()}
-    return _of_rows(
-        file,
-        experiment,
-        rows=plain.get("g"),
-        times_s=plain.get(TIME),
-        markers_m=arrays.get("markers_m"),
+    rows, times_s = (
+        arrays[name].tolist() if name in arrays else None for name in ("g", TIME)
     )
+    return _of_rows(experiment, rows, times_s, arrays.get("markers_m"))
 
 
 def _read_json(file: Path, experiment: Experiment) -> _Samples:
     content = _json_object(file)
     recorded = content.get("trajectory")
     if "g" in content or not isinstance(recorded, dict):
-        return _of_rows(
-            file, experiment, rows=content.get("g"), times_s=content.get(TIME)
-        )
+        return _of_rows(experiment, content.get("g"), content.get(TIME))
     # It is a result file.
     markers_m = None
     if recorded.get("markers_mm"):
         with faults_of(file, TrajectoryFileError, "a result file"):
             markers_mm = np.asarray(recorded["markers_mm"], dtype=np.float64)
             markers_m = 1e-3 * markers_mm.reshape(len(markers_mm), -1, 3)
-    return _of_rows(
-        file,
-        experiment,
-        rows=recorded.get("samples"),
-        times_s=recorded.get("times_s"),
-        markers_m=markers_m,
-    )
+    times_s = recorded.get("times_s")
+    return _of_rows(experiment, recorded.get("samples"), times_s, markers_m)
 
 
 def _of_rows(
-    file: Path,
     experiment: Experiment,
-    *,
     rows: Any,
     times_s: Any,
     markers_m: FloatArray | None = None,
 ) -> _Samples:
     """Return the samples of a list of rows, and of a list of times or None."""
     if not isinstance(rows, list):
-        raise TrajectoryFileError(
-            f"{file}: no list 'g' of rows; {_expected(experiment)}"
-        )
-    places = [f"g, row {number}" for number in range(len(rows))]
-    values = _numbers(file, rows, places, experiment.coordinates, experiment)
-    if times_s is None:
-        return _Samples(values=values, times_s=None, markers_m=markers_m)
-    if not isinstance(times_s, list) or len(times_s) != len(rows):
-        raise TrajectoryFileError(
-            f"{file}: {TIME}: expected a list of {len(rows)} times, as g has {len(rows)} rows"
-        )
+        raise ValueError(f"no list 'g' of rows; {_expected(experiment)}")
     places = [f"row {number}" for number in range(len(rows))]
-    column = _numbers(
-        file, [[time_s] for time_s in times_s], places, [TIME], experiment
-    )
-    return _Samples(values=values, times_s=column[:, 0], markers_m=markers_m)
+    of_g = [f"g, {place}" for place in places]
+    values = _numbers(rows, of_g, experiment.coordinates, experiment)
+    if times_s is None:
+        return _Samples.of(values, None, markers_m)
+    if not isinstance(times_s, list) or len(times_s) != len(rows):
+        raise ValueError(
+            f"{TIME}: expected a list of {len(rows)} times, as g has {len(rows)} rows"
+        )
+    column = _numbers([[time_s] for time_s in times_s], places, [TIME], experiment)
+    return _Samples.of(values, column[:, 0], markers_m)
 
 
 def _numbers(
-    file: Path,
     rows: Sequence[Any],
     places: Sequence[str],
     names: Sequence[str],
@@ -337,18 +293,17 @@ def _numbers(
     for row, place, numbers in zip(rows, places, values, strict=True):
         if not isinstance(row, list) or len(row) != len(names):
             count = f"{len(row)} columns" if isinstance(row, list) else "no list"
-            raise TrajectoryFileError(
-                f"{file}: {place}: {count}, {_expected(experiment)}; a column of times needs a header with {TIME}"
+            raise ValueError(
+                f"{place}: {count}, {_expected(experiment)}; a column of times needs a header with {TIME}"
             )
-        for column, cell in enumerate(row):
-            number = _number(cell)
-            if not abs(number) <= LARGEST:
-                name = names[column]
-                unit = _unit_of(name, experiment)
-                raise TrajectoryFileError(
-                    f"{file}: {place}: {name} is {cell!r:.40}, expected a finite number [{unit}] of at most {LARGEST:g}"
-                )
-            numbers[column] = number
+        numbers[:] = [*map(_number, row)]
+        wrong = np.flatnonzero(~(np.abs(numbers) <= LARGEST))
+        if len(wrong):
+            name, cell = names[wrong[0]], row[wrong[0]]
+            raise ValueError(
+                f"{place}: {name} is {cell!r:.40}, expected a finite number [{_unit_of(name, experiment)}] "
+                f"of at most {LARGEST:g}"
+            )
     return values
 
 
@@ -360,12 +315,8 @@ def _number(cell: Any) -> float:
         return math.nan
 
 
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
+def _is_name(cell: str) -> bool:
+    return cell != "" and math.isnan(_number(cell))
 
 
 def _unit_of(name: str, experiment: Experiment) -> str:
@@ -382,8 +333,8 @@ def _json_object(file: Path) -> dict[str, Any]:
     with reading(file, TrajectoryFileError, "a JSON file") as text:
         content = json_document(text)
     if not isinstance(content, dict):
-        raise TrajectoryFileError(
-            f"{file}: expected a JSON object with 'g', got a {type(content).__name__}"
+        raise ValueError(
+            f"expected a JSON object with 'g', got a {type(content).__name__}"
         )
     return content
 
@@ -391,73 +342,97 @@ def _json_object(file: Path) -> dict[str, Any]:
 # --- times -----------------------------------------------------------------------------------------------------------
 
 
+def _at_frames(samples: _Samples, experiment: Experiment) -> UserTrajectory:
+    """Return a trajectory with a sample at each frame."""
+    from scipy.interpolate import make_interp_spline
+
+    samples, rest_s = _without_rest(samples, experiment)
+    frame_count = experiment.frame_count
+    frames_s = np.arange(frame_count) / FRAME_RATE_HZ
+    rate_hz = None
+    if not samples.has_times:
+        rate_hz = likely_rate_hz(reference_band(experiment), samples.values)
+    times_s = _times_at_frames(samples, frames_s, rate_hz)
+    unit = experiment.score.observable.unit
+    lost = lost_marker(experiment.coordinates, unit, times_s, samples.values)
+    if lost is not None:
+        raise ValueError(str(lost))
+    all_times_s = np.union1d(times_s, frames_s)
+    all_times_s = all_times_s[(all_times_s >= 0.0) & (all_times_s <= frames_s[-1])]
+    # A clock may start up to 5 ms late or stop up to 5 ms early: lines go on there.
+    values = make_interp_spline(times_s, samples.values, k=1)(all_times_s)
+    markers_m = None
+    if experiment.score.observable is Observable.MARKER_POSITION:
+        at_frames = values[frame_index(all_times_s, frame_count)]
+        markers_m = 1e-3 * at_frames.reshape(frame_count, -1, 3)
+    elif samples.markers_m is not None:
+        markers_m = _markers_at_frames(experiment, times_s, samples.markers_m, frames_s)
+    return UserTrajectory(
+        times_s=all_times_s,
+        values=values,
+        interpolated_frames=len(np.setdiff1d(frames_s, times_s)),
+        rest_s=rest_s,
+        likely_rate_hz=rate_hz,
+        markers_m=markers_m,
+    )
+
+
 def _without_rest(samples: _Samples, experiment: Experiment) -> tuple[_Samples, float]:
     """Return samples from the release on, whose time is 0, and the duration of a long rest before it [s]."""
-    if samples.markers_m is not None or len(samples.values) < 2:
+    times_s, values = samples.times_s, samples.values
+    if samples.markers_m is not None or len(values) < 2:
         return samples, 0.0
-    times_s = samples.times_s
-    if times_s is None:
-        times_s = np.arange(len(samples.values)) / FRAME_RATE_HZ
-    row = release_row(experiment, times_s, samples.values)
+    row = release_row(experiment, times_s, values)
     if row == 0:
         return samples, 0.0
-    rest_s = float(times_s[row] - times_s[0])
-    if samples.times_s is not None:
-        samples = replace(samples, times_s=times_s[row:] - times_s[row])
-    return replace(samples, values=samples.values[row:]), rest_s
+    after = replace(samples, times_s=times_s[row:] - times_s[row], values=values[row:])
+    return after, float(times_s[row] - times_s[0])
 
 
 def _times_at_frames(
-    file: Path, samples: _Samples, frames_s: FloatArray, rate_hz: int | None
+    samples: _Samples, frames_s: FloatArray, rate_hz: int | None
 ) -> FloatArray:
     """Return the times of the samples [s]; a sample near a frame gets the time of the frame.
 
     Args:
-        file: The file.
-        samples: Its content.
+        samples: Content of the file.
         frames_s: Times of the frames [s].
         rate_hz: Likely rate of rows without times; None is unknown.
 
     Raises:
-        TrajectoryFileError: Times do not increase from 0 to the last frame, or a frame has no sample nearby.
+        ValueError: Times do not increase from 0 to the last frame, or a frame has no sample nearby.
     """
-    row_count, frame_count = len(samples.values), len(frames_s)
+    row_count, times_s = len(samples.values), samples.times_s.copy()
     needed = (
-        f"{frame_count} frames are needed, 30 a second from 0 to {frames_s[-1]:.4f} s"
+        f"{len(frames_s)} frames are needed, 30 a second from 0 to {frames_s[-1]:.4f} s"
     )
-    if samples.times_s is None and row_count > frame_count:
+    if not samples.has_times and row_count > len(frames_s):
         rate = "another rate" if rate_hz is None else f"{rate_hz} Hz"
-        raise TrajectoryFileError(
-            f"{file}: {row_count} rows without {TIME} look like {rate}; {needed}. Add a column {TIME} [s]"
+        raise ValueError(
+            f"{row_count} rows without {TIME} look like {rate}; {needed}. Add a column {TIME} [s]"
         )
     if row_count < 2:
-        raise TrajectoryFileError(f"{file}: {row_count} rows; {needed}")
-    times_s = np.arange(row_count) / FRAME_RATE_HZ
-    if samples.times_s is not None:
-        times_s = samples.times_s.copy()
+        raise ValueError(f"{row_count} rows; {needed}")
     steps_s = np.diff(times_s)
     tolerance_s = min(FILE_TOLERANCE_S, 0.1 * float(np.median(steps_s))) + 1e-9
     if (steps_s <= 0.0).any():
         row = int(np.argmax(steps_s <= 0.0)) + 1
-        raise TrajectoryFileError(
-            f"{file}: row {row}: {TIME} is {times_s[row]:g} after {times_s[row - 1]:g}, but times must increase"
+        raise ValueError(
+            f"row {row}: {TIME} is {times_s[row]:g} after {times_s[row - 1]:g}, but times must increase"
         )
     if abs(times_s[0]) > MAX_JITTER_S:
-        raise TrajectoryFileError(
-            f"{file}: row 0: {TIME} is {times_s[0]:g}, expected 0: the episode starts there"
+        raise ValueError(
+            f"row 0: {TIME} is {times_s[0]:g}, expected 0: the episode starts there"
         )
     if times_s[-1] < frames_s[-1] - MAX_JITTER_S:
-        raise TrajectoryFileError(
-            f"{file}: {row_count} rows end at {times_s[-1]:.4f} s; {needed}"
-        )
-    between_s = 0.5 * (times_s[1:] + times_s[:-1])
-    nearest = np.searchsorted(between_s, frames_s)
+        raise ValueError(f"{row_count} rows end at {times_s[-1]:.4f} s; {needed}")
+    nearest = nearest_sample(times_s, frames_s)
     distances_s = np.abs(times_s[nearest] - frames_s)
     is_far = distances_s > 0.5 / FRAME_RATE_HZ + tolerance_s
     if is_far.any():
         frame = int(is_far.argmax())
-        raise TrajectoryFileError(
-            f"{file}: no sample at frame {frame} (t = {frames_s[frame]:.4f} s), the nearest is at "
+        raise ValueError(
+            f"no sample at frame {frame} (t = {frames_s[frame]:.4f} s), the nearest is at "
             f"{times_s[nearest[frame]]:.4f} s; {needed}. {_time_unit_text(times_s, frames_s)}"
         )
     is_near = distances_s <= tolerance_s
@@ -475,7 +450,6 @@ def _time_unit_text(times_s: FloatArray, frames_s: FloatArray) -> str:
 
 
 def _markers_at_frames(
-    file: Path,
     experiment: Experiment,
     times_s: FloatArray,
     markers_m: FloatArray,
@@ -487,8 +461,8 @@ def _markers_at_frames(
     # Result files have markers only at the frames.
     rows_s = times_s if len(markers_m) == len(times_s) else frames_s
     if markers_m.shape != (len(rows_s), count, 3) or not np.isfinite(markers_m).all():
-        raise TrajectoryFileError(
-            f"{file}: markers_m: shape is {list(markers_m.shape)}; finite numbers [m] of shape "
+        raise ValueError(
+            f"markers_m: shape is {list(markers_m.shape)}; finite numbers [m] of shape "
             f"{[len(times_s), count, 3]} are expected"
         )
     flat = markers_m.reshape(len(rows_s), -1)

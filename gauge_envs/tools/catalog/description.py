@@ -29,7 +29,6 @@ from gauge_envs.scene import Deformable, Hinge, RigidBody, Tether
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLES_PER_FRAME
 from gauge_envs.scoring.answers import Answer, is_like_trials, real_limit, solves
 from gauge_envs.scoring.estimates import ComparedQuantity
-from gauge_envs.scoring.events import PUBLISHED_TRIALS
 from gauge_envs.scoring.exact import exact_motion
 from gauge_envs.scoring.reference import reference_band, reference_kind
 from gauge_envs.scoring.trajectory import score_trajectory
@@ -243,9 +242,7 @@ def _real_event(
     """Return the real value of an event and its standard uncertainty; None if the metric is no event."""
     if metric in EVENT_METRICS and metric in experiment.baselines:
         row = experiment.baselines[metric]
-        if row.std is None:
-            return row.mean, None
-        return row.mean, row.std / math.sqrt(PUBLISHED_TRIALS)
+        return row.mean, row.standard_uncertainty
     for event in recorded_events(experiment.name, experiment.reference_source):
         if event.name == metric:
             return event.value, event.standard_uncertainty

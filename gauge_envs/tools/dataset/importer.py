@@ -29,10 +29,14 @@ from gauge_envs.references.imported import (
 )
 from gauge_envs.references.kind import Kind
 from gauge_envs.references.metrics import METRICS
-from gauge_envs.references.published import Baseline, published_baselines
+from gauge_envs.references.published import (
+    PUBLISHED_TRIALS,
+    Baseline,
+    published_baselines,
+)
 from gauge_envs.scene.drivers import Driver
 from gauge_envs.scene.geometry import FloatArray
-from gauge_envs.scoring.events import PUBLISHED_TRIALS, event_values
+from gauge_envs.scoring.events import event_values
 from gauge_envs.scoring.interval import COVERAGE_FACTOR
 from gauge_envs.scoring.reference import reference_band
 from gauge_envs.scoring.user_file.gate import (

@@ -19,7 +19,8 @@ from gauge_envs.scene.driver_fit import motion_coordinates
 from gauge_envs.scene.drivers import Driver
 from gauge_envs.scene.geometry import FloatArray, length_of
 from gauge_envs.scoring.reference import reference_band
-from gauge_envs.scoring.user_file.gate import SAME_MM, displacements
+from gauge_envs.scoring.user_file.gate import SAME_MM
+from gauge_envs.scoring.user_file.motion_checks import displacements
 from gauge_envs.tools.dataset.findings import TrialError
 from gauge_envs.tools.dataset.trial import PoseTrack, Trial, check_lengths
 

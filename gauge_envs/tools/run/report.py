@@ -26,8 +26,7 @@ from gauge_envs.references.kind import Kind
 from gauge_envs.references.metrics import METRICS
 from gauge_envs.runs.configuration import RunConfiguration
 from gauge_envs.runs.result import Outcome, Result
-from gauge_envs.scoring.answers import Answer
-from gauge_envs.scoring.cause import DistanceCause
+from gauge_envs.scoring.answers import Answer, DistanceCause
 from gauge_envs.scoring.estimates import ComparedQuantity
 from gauge_envs.scoring.interval import COVERAGE_FACTOR
 from gauge_envs.scoring.score import FROM_SOLUTION, Score

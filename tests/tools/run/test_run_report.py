@@ -7,8 +7,7 @@ from rich.console import Console
 
 from gauge_envs.pages.terminal import Terminal
 from gauge_envs.runs.result import Outcome, Result
-from gauge_envs.scoring.answers import Answer
-from gauge_envs.scoring.cause import DistanceCause
+from gauge_envs.scoring.answers import Answer, DistanceCause
 from gauge_envs.scoring.estimates import ComparedQuantity
 from gauge_envs.scoring.score import Score
 from gauge_envs.tools.run.report import cause_text, motion_text, summary_document
