@@ -50,6 +50,7 @@ FIRST = (
     "start-position",
     "start-orientation",
     "contact-listed",
+    "rest-heights",
 )
 """Checks that run first, since their failures make other results worthless."""
 

@@ -73,16 +73,23 @@ def wrench_force(lab: Lab) -> Measurement:
     Source: Newton; contract (Simulation.apply_wrench).
     """
     rollout = lab.once(_pushed)
-    errors, mistakes = {}, {}
+    errors, shares, left = {}, {}, {}
     for at, each in enumerate(rollout.scene.bodies):
         gained, law = _gained(rollout, each.name) / 0.1, np.roll(DIRECTION, at)
         case = f"the acceleration of the {each.mass_kg:g} kg {each.name}"
         errors[case] = length_of(gained - law)
-        share = float(gained @ law)
-        mass = f"its mass is {1.0 / (share or np.nan):.3g} times that of the scene"
-        mistakes[case] = {mass: length_of(gained - share * law)}
+        shares[case] = share = float(gained @ law)
+        left[case] = length_of(gained - share * law)
     # A force that is wrong for all bodies is no matter of their masses.
-    return largest(errors, mistakes=mistakes if min(errors.values()) < 1e-3 else {})
+    is_all = min(errors.values()) > 1e-3
+    mistakes: dict[str, dict[str, float]] = {}
+    for case, share in shares.items():
+        text = f"its mass is {1.0 / (share or np.nan):.3g} times that of the scene"
+        if is_all:
+            text = f"forces are {share:.3g} times those of the call, as in other steps"
+        if not is_all or np.ptp([*shares.values()]) < 1e-3:
+            mistakes[case] = {text: left[case]}
+    return largest(errors, mistakes=mistakes)
 
 
 # --- inertia ---------------------------------------------------------------------------------------------------------
@@ -197,9 +204,17 @@ def contact_force(lab: Lab) -> Measurement:
     off = [np.subtract(forces[:-1], law * row) for row in rows]
     shares = np.linalg.norm(off, axis=3).max(axis=1)
     shares /= np.linalg.norm(law, axis=2).max(axis=0)
+    factors = (forces[:-1] * law).sum(axis=(0, 2)) / (law**2).sum(axis=(0, 2))
+    scaled = np.linalg.norm(forces[:-1] - factors[:, None] * law, axis=2).max(axis=0)
+    scaled /= np.linalg.norm(law, axis=2).max(axis=0)
     errors, mistakes = {}, {}
-    for name, (share, *left) in zip(names, shares.T.tolist(), strict=True):
+    for at, (name, (share, *left)) in enumerate(
+        zip(names, shares.T.tolist(), strict=True)
+    ):
         case = f"the force on the {name} brick"
         errors[case] = share
         mistakes[case] = dict(zip(MISTAKES, left, strict=True))
+        if factors[at] > 0.0:
+            text = f"it is {factors[at]:.3g} times that of the law"
+            mistakes[case][text] = float(scaled[at])
     return largest(errors, mistakes=mistakes)
