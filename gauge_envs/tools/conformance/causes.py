@@ -49,7 +49,7 @@ def _table() -> tuple[Mapping[str, Sequence[Signs]], Mapping[str, float]]:
 def likely_causes(results: Sequence[CheckResult]) -> list[str]:
     """Return the causes that explain several results, each with checks that fail and pass by it."""
     ran = {r.check: r for r in results if r.status is not Status.UNSUPPORTED}
-    left = {name: _sign(result) for name, result in ran.items() if result.is_bad}
+    left = {name: sign_of(result) for name, result in ran.items() if result.is_bad}
     texts: list[str] = []
     while True:
         fits = sorted(_fits(left, ran.keys()), reverse=True)
@@ -63,7 +63,7 @@ def likely_causes(results: Sequence[CheckResult]) -> list[str]:
             left.pop(name, None)
 
 
-def _sign(result: CheckResult) -> str:
+def sign_of(result: CheckResult) -> str:
     """Return the sign of the error of a check."""
     if result.measured is None or result.expected is None:
         return "!"

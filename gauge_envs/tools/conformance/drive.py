@@ -258,7 +258,8 @@ def worst_friction(
         cause = "the engine multiplies the values of two bodies, and it is the pair's"
         worst = replace(worst, hint="the friction is squared", cause=cause)
     elif np.ptp([*shares.values()]) < 0.02:
-        worst = replace(worst, cause="all friction has this factor")
+        cause = "friction is not Contact.friction; all of it has this factor"
+        worst = replace(worst, cause=cause)
     elif np.abs(worst.measured - np.sqrt([0.5, 2.0])).min() < 0.01:
         worst = replace(worst, cause="friction is a pyramid in place of a cone")
     supports = {name: support for name, (*_, support) in slides.items()}

@@ -86,7 +86,7 @@ def wrench_force(lab: Lab) -> Measurement:
     for case, share in shares.items():
         text = f"its mass is {1.0 / (share or np.nan):.3g} times that of the scene"
         if is_all:
-            text = f"forces are {share:.3g} times those of the call, as in other steps"
+            text = f"{share:.3g} times each force acts: a wrench acts in all steps, until another call replaces it"
         if not is_all or np.ptp([*shares.values()]) < 1e-3:
             mistakes[case] = {text: left[case]}
     return largest(errors, mistakes=mistakes)
@@ -200,21 +200,17 @@ def contact_force(lab: Lab) -> Measurement:
             simulation.advance(SAMPLE_INTERVAL_S)
             forces.append(signs * read()[0] / BRICK_KG)
     law = np.diff(speeds, axis=0) / SAMPLE_INTERVAL_S + [0.0, 0.0, G]
-    rows = [(1.0, 1.0, 1.0), *MISTAKES.values()]
-    off = [np.subtract(forces[:-1], law * row) for row in rows]
-    shares = np.linalg.norm(off, axis=3).max(axis=1)
+    read_n = np.array(forces[:-1])
+    scales = (read_n * law).sum(axis=(0, 2)) / (law**2).sum(axis=(0, 2))
+    rows = [(1.0, 1.0, 1.0), *MISTAKES.values(), scales[:, None]]
+    shares = np.linalg.norm([read_n - law * row for row in rows], axis=3).max(axis=1)
     shares /= np.linalg.norm(law, axis=2).max(axis=0)
-    factors = (forces[:-1] * law).sum(axis=(0, 2)) / (law**2).sum(axis=(0, 2))
-    scaled = np.linalg.norm(forces[:-1] - factors[:, None] * law, axis=2).max(axis=0)
-    scaled /= np.linalg.norm(law, axis=2).max(axis=0)
     errors, mistakes = {}, {}
-    for at, (name, (share, *left)) in enumerate(
-        zip(names, shares.T.tolist(), strict=True)
+    for name, scale, (share, *left) in zip(
+        names, scales, shares.T.tolist(), strict=True
     ):
         case = f"the force on the {name} brick"
         errors[case] = share
-        mistakes[case] = dict(zip(MISTAKES, left, strict=True))
-        if factors[at] > 0.0:
-            text = f"it is {factors[at]:.3g} times that of the law"
-            mistakes[case][text] = float(scaled[at])
+        scaled = f"it is {scale:.3g} times that of the law"
+        mistakes[case] = dict(zip((*MISTAKES, scaled), left, strict=True))
     return largest(errors, mistakes=mistakes)
