@@ -669,7 +669,7 @@ FAULTS = {
     ),
     "a wrench for one call": Fault(
         caught_by="wrench-force",
-        says="apply_wrench acts in the world frame until another call",
+        says="a wrench acts in all steps, until another call replaces it",
         simulation=_WrenchOfOneCall,
     ),
     "a wrench that reset keeps": Fault(

@@ -16,8 +16,12 @@ from gauge_envs.fixtures.parts import contact
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2,
     Box,
+    Capsule,
+    Compound,
     Cylinder,
+    Ellipsoid,
     Motion,
+    Part,
     Pose,
     Sphere,
 )
@@ -106,6 +110,23 @@ def test_more_contacts_than_genesis_holds_are_unsupported():
 
 
 # --- driven bodies and worlds ----------------------------------------------------------------------------------------
+
+
+def test_the_parts_of_a_compound_have_contacts():
+    """A lying capsule and an ellipsoid, 0.1 m apart, rest at half their heights."""
+    parts = (
+        Part(
+            shape=Capsule(radius_m=0.02, length_m=0.06),
+            pose=Pose.from_euler_deg((0.1, 0.0, 0.0), (90.0, 0.0, 0.0)),
+        ),
+        Part(
+            shape=Ellipsoid(radii_m=(0.03, 0.04, 0.02)), pose=Pose(position_m=(0, 0, 0))
+        ),
+    )
+    foot = solid("foot", Compound(parts=parts), (0.0, 0.0, 0.02))
+    scene = scene_of(GROUND, foot, contacts=(contact("foot", "ground", friction=0.5),))
+    rows = states(GENESIS, scene, ["foot"], 0.2, **FAST)
+    assert np.ptp(rows[:, 0, 2]) < 1e-4
 
 
 def test_the_engine_takes_a_driven_body_to_the_end_of_its_interval():

@@ -19,17 +19,22 @@ from gauge_envs.backends.genesis.settings import SettingsGenesis
 from gauge_envs.backends.shared.spring_damper import SLOWEST_IMPACT_M_PER_S
 from gauge_envs.scene import (
     Box,
+    Capsule,
+    Compound,
     Contact,
     ContactMode,
     ConvexUnion,
     Cylinder,
+    Ellipsoid,
     Hinge,
     Motion,
+    Plane,
     Pose,
     RigidBody,
     Scene,
     Shape,
     Sphere,
+    Vector,
 )
 from gauge_envs.scene.bodies import friction_dimension
 from gauge_envs.scene.meshes import body_mass_properties
@@ -261,8 +266,8 @@ def document(
             shape = _enlarged(body.shape, margin_m)
             copies.insert(0, (shape, inert, Layer(accepts=COUPLED_BIT)))
         label = body_label(index)
-        if isinstance(body.shape, ConvexUnion):
-            for number, piece in enumerate(body.shape.pieces_m):
+        for number, (piece, _) in enumerate(_solids(body.shape, ORIGIN)):
+            if isinstance(piece, tuple):
                 _add(asset, "mesh", name=f"{label}/{number}", vertex=piece)
         for number, (shape, constants, layer) in enumerate(copies):
             _add_geoms(parent, f"{label}/{number}", shape, pose, constants, layer)
@@ -360,15 +365,16 @@ def _add_geoms(
     constants: Constants,
     layer: Layer,
 ) -> None:
-    """Add a geom for each piece of a shape; its name begins with the name of the body."""
-    for number, geometry in enumerate(_geometries(name.partition("/")[0], shape)):
+    """Add a geom for each solid of a shape; its name begins with the label of the body."""
+    label = name.partition("/")[0]
+    for number, (solid, place) in enumerate(_solids(shape, pose)):
         _add(
             parent,
             "geom",
             name=f"{name}/{number}",
-            **geometry,
-            pos=pose.position_m,
-            quat=pose.quaternion,
+            **_geometry(f"{label}/{number}", solid),
+            pos=place.position_m,
+            quat=place.quaternion,
             contype=layer.offers,
             conaffinity=layer.accepts,
             friction=(constants.friction, *constants.turning),
@@ -380,16 +386,38 @@ def _add_geoms(
         )
 
 
-def _geometries(label: str, shape: Shape) -> list[dict[str, Any]]:
-    """Return the attributes of geoms for the pieces of a shape of a body, most of which are one piece."""
+Solid = Shape | Capsule | Ellipsoid
+Piece = tuple[Vector, ...]
+"""Vertices of a convex solid in the body frame [m]."""
+
+
+def _solids(shape: Solid, pose: Pose) -> Iterator[tuple[Solid | Piece, Pose]]:
+    """Yield the solids of a shape: primitives, and the vertices of convex pieces, each with its pose."""
     if isinstance(shape, ConvexUnion):
-        pieces = range(len(shape.pieces_m))
-        return [{"type": "mesh", "mesh": f"{label}/{number}"} for number in pieces]
-    if isinstance(shape, Box):
-        return [{"type": "box", "size": [0.5 * edge for edge in shape.size_m]}]
-    if isinstance(shape, Sphere):
-        return [{"type": "sphere", "size": shape.radius_m}]
-    if isinstance(shape, Cylinder):
-        size_m = [shape.radius_m, 0.5 * shape.length_m]
-        return [{"type": "cylinder", "size": size_m}]
-    return [{"type": "plane", "size": "0 0 1"}]
+        yield from ((piece, pose) for piece in shape.pieces_m)
+    elif isinstance(shape, Compound):
+        for part in shape.parts:
+            place = Pose.from_rotation(
+                tuple(pose.to_world(np.asarray(part.pose.position_m)).tolist()),
+                pose.rotation * part.pose.rotation,
+            )
+            yield from _solids(part.shape, place)
+    else:
+        yield shape, pose
+
+
+def _geometry(mesh: str, solid: Solid | Piece) -> dict[str, Any]:
+    """Return the attributes of the geom of a solid."""
+    match solid:
+        case Box():
+            return {"type": "box", "size": [0.5 * edge for edge in solid.size_m]}
+        case Sphere():
+            return {"type": "sphere", "size": solid.radius_m}
+        case Ellipsoid():
+            return {"type": "ellipsoid", "size": solid.radii_m}
+        case Cylinder() | Capsule():
+            size_m = [solid.radius_m, 0.5 * solid.length_m]
+            return {"type": type(solid).__name__.lower(), "size": size_m}
+        case Plane():
+            return {"type": "plane", "size": "0 0 1"}
+    return {"type": "mesh", "mesh": mesh}

@@ -51,7 +51,8 @@ class SettingsMuJoCo(SteppedSettings):
         impratio: Ratio of frictional to normal constraint impedance; values above 1 reduce the creep of resting bodies.
         solver: Constraint solver.
         iterations: Maximum number of solver iterations.
-        tolerance: Solver tolerance.
+        tolerance: Solver tolerance, relative to the mean inertia, which heavy driven bodies raise. With CG and 1e-8, a
+            box at rest on a driven slab moves at 11 mm/s; with 1e-10 at 0.1 mm/s.
         ls_iterations: Maximum number of iterations of each line search.
         ls_tolerance: Tolerance of the line search.
         noslip_iterations: Maximum number of iterations of the no-slip solver, whose hard friction removes creep; 0

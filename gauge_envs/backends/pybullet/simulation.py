@@ -1,6 +1,6 @@
 """A PyBullet simulation: driving, stepping and reading of its state."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -59,6 +59,9 @@ class SimulationPyBullet(PlacedSimulation):
             bodies = bodies_at(self._scene, starts[0])
         self._model.build(bodies)
         self._client = self._model.client
+        # The client looks functions up by name, which costs as much as they do.
+        self._pose_of = self._client.getBasePositionAndOrientation
+        self._velocity_of = self._client.getBaseVelocity
         self._driven: dict[str, FloatArray] = {}
         self._wrenches: dict[str, FloatArray] = {}
         self.placed = placed_states(self._scene)
@@ -85,6 +88,7 @@ class SimulationPyBullet(PlacedSimulation):
         ]
         for reader in self._force_readers:
             reader.clear()
+        pushes = [self._push(name, wrench) for name, wrench in self._wrenches.items()]
         take_step = self._client.stepSimulation
         place = self._client.resetBasePositionAndOrientation
         move = self._client.resetBaseVelocity
@@ -93,8 +97,8 @@ class SimulationPyBullet(PlacedSimulation):
                 position, quaternion, speed, spin = rows[step]
                 place(body, position, quaternion)
                 move(body, speed, spin)
-            for name, wrench in self._wrenches.items():
-                self._push(name, wrench)
+            for push in pushes:
+                push()
             take_step()
             for reader in self._force_readers:
                 reader.add()
@@ -133,20 +137,26 @@ class SimulationPyBullet(PlacedSimulation):
         )
         return list(zip(*(column.tolist() for column in columns), strict=True))
 
-    def _push(self, name: str, wrench: FloatArray) -> None:
-        """Apply a wrench for one step, after which Bullet forgets it."""
-        handle = self._model.handles[name][0]
-        centre = self._read(*handle)[0]
+    def _push(self, name: str, wrench: FloatArray) -> Callable[[], None]:
+        """Return a function that applies a wrench for one step, after which Bullet forgets it."""
+        body, link = self._model.handles[name][0]
         force = (self._scale * wrench[:3]).tolist()
         torque = (self._scale**2 * wrench[3:]).tolist()
-        self._client.applyExternalForce(*handle, force, centre, pybullet.WORLD_FRAME)
-        self._client.applyExternalTorque(*handle, torque, pybullet.WORLD_FRAME)
+        push, turn = self._client.applyExternalForce, self._client.applyExternalTorque
+
+        def apply() -> None:
+            if any(force):
+                centre = self._read(body, link)[0]
+                push(body, link, force, centre, pybullet.WORLD_FRAME)
+            if any(torque):
+                turn(body, link, torque, pybullet.WORLD_FRAME)
+
+        return apply
 
     def _read(self, body: int, link: int) -> tuple[Any, ...]:
         """Return position, quaternion x y z w, velocity and angular velocity of a centre of mass, in units."""
         if link == BASE:
-            place = self._client.getBasePositionAndOrientation(body)
-            return (*place, *self._client.getBaseVelocity(body))
+            return (*self._pose_of(body), *self._velocity_of(body))
         state = self._client.getLinkState(
             body, link, computeLinkVelocity=1, computeForwardKinematics=1
         )

@@ -257,6 +257,11 @@ def worst_friction(
     if all(abs(shares[name] / slides[name][1] - 1.0) < 0.05 for name in slides):
         cause = "the engine multiplies the values of two bodies, and it is the pair's"
         worst = replace(worst, hint="the friction is squared", cause=cause)
+    elif np.ptp([*shares.values()]) < 0.02:
+        cause = "friction is not Contact.friction; all of it has this factor"
+        worst = replace(worst, cause=cause)
+    elif np.abs(worst.measured - np.sqrt([0.5, 2.0])).min() < 0.01:
+        worst = replace(worst, cause="friction is a pyramid in place of a cone")
     supports = {name: support for name, (*_, support) in slides.items()}
     return unless_off(worst, rollout, supports)
 
@@ -313,7 +318,10 @@ def carry_turn(lab: Lab) -> Measurement:
         turns = Rotation.from_quat(asked[:, 3:7], scalar_first=True)
         places = turns.inv().apply(rollout.position(cube) - asked[:, :3])
         slips[f"the {cube}"] = largest_mm(places - places[0])
-    return unless_off(largest(slips, "mm"), rollout.cut(0.0, 0.2), supports)
+    worst = largest(slips, "mm")
+    if slips["the cube on plate"] < 1.0 < slips["the cube on disc"]:
+        worst = replace(worst, cause="friction does not see the spin of driven bodies")
+    return unless_off(worst, rollout.cut(0.0, 0.2), supports)
 
 
 @check(

@@ -73,16 +73,23 @@ def wrench_force(lab: Lab) -> Measurement:
     Source: Newton; contract (Simulation.apply_wrench).
     """
     rollout = lab.once(_pushed)
-    errors, mistakes = {}, {}
+    errors, shares, left = {}, {}, {}
     for at, each in enumerate(rollout.scene.bodies):
         gained, law = _gained(rollout, each.name) / 0.1, np.roll(DIRECTION, at)
         case = f"the acceleration of the {each.mass_kg:g} kg {each.name}"
         errors[case] = length_of(gained - law)
-        share = float(gained @ law)
-        mass = f"its mass is {1.0 / (share or np.nan):.3g} times that of the scene"
-        mistakes[case] = {mass: length_of(gained - share * law)}
+        shares[case] = share = float(gained @ law)
+        left[case] = length_of(gained - share * law)
     # A force that is wrong for all bodies is no matter of their masses.
-    return largest(errors, mistakes=mistakes if min(errors.values()) < 1e-3 else {})
+    is_all = min(errors.values()) > 1e-3
+    mistakes: dict[str, dict[str, float]] = {}
+    for case, share in shares.items():
+        text = f"its mass is {1.0 / (share or np.nan):.3g} times that of the scene"
+        if is_all:
+            text = f"{share:.3g} times each force acts: a wrench acts in all steps, until another call replaces it"
+        if not is_all or np.ptp([*shares.values()]) < 1e-3:
+            mistakes[case] = {text: left[case]}
+    return largest(errors, mistakes=mistakes)
 
 
 # --- inertia ---------------------------------------------------------------------------------------------------------
@@ -193,13 +200,17 @@ def contact_force(lab: Lab) -> Measurement:
             simulation.advance(SAMPLE_INTERVAL_S)
             forces.append(signs * read()[0] / BRICK_KG)
     law = np.diff(speeds, axis=0) / SAMPLE_INTERVAL_S + [0.0, 0.0, G]
-    rows = [(1.0, 1.0, 1.0), *MISTAKES.values()]
-    off = [np.subtract(forces[:-1], law * row) for row in rows]
-    shares = np.linalg.norm(off, axis=3).max(axis=1)
+    read_n = np.array(forces[:-1])
+    scales = (read_n * law).sum(axis=(0, 2)) / (law**2).sum(axis=(0, 2))
+    rows = [(1.0, 1.0, 1.0), *MISTAKES.values(), scales[:, None]]
+    shares = np.linalg.norm([read_n - law * row for row in rows], axis=3).max(axis=1)
     shares /= np.linalg.norm(law, axis=2).max(axis=0)
     errors, mistakes = {}, {}
-    for name, (share, *left) in zip(names, shares.T.tolist(), strict=True):
+    for name, scale, (share, *left) in zip(
+        names, scales, shares.T.tolist(), strict=True
+    ):
         case = f"the force on the {name} brick"
         errors[case] = share
-        mistakes[case] = dict(zip(MISTAKES, left, strict=True))
+        scaled = f"it is {scale:.3g} times that of the law"
+        mistakes[case] = dict(zip((*MISTAKES, scaled), left, strict=True))
     return largest(errors, mistakes=mistakes)

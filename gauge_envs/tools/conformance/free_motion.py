@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -105,6 +106,7 @@ def centre_m(rollout: Recording, name: str) -> FloatArray:
 SPANS_S = ((0.0, 0.8), (0.8, 1.8), (2.1, 2.6))
 SPEEDS_M_PER_S = (20.0, -13.0, 0.1, -0.004, 0.001)
 RATES_RAD_PER_S = (200.0, 45.0, -5.0, 0.05)
+STEADY, DAMPED = 4e-3, "free bodies are damped"
 LEVEL, DIRECTION = np.array([0.6, -0.8, 0.0]), np.array([0.6, -0.64, 0.48])
 
 
@@ -125,7 +127,7 @@ def _glide(lab: Lab) -> Recording:
     "glide-speed",
     title="free bodies keep velocity and spin, fast, slow and late",
     law="r = v t, angle = omega t",
-    tolerance=Tolerance("single precision of orientations in 2.6 s", absolute=4e-3),
+    tolerance=Tolerance("single precision of orientations in 2.6 s", absolute=STEADY),
     cause="a limit of speed, damping of free bodies, or sleep of slow bodies",
 )
 def glide_speed(lab: Lab) -> Measurement:
@@ -147,7 +149,31 @@ def glide_speed(lab: Lab) -> Measurement:
         for first, last in SPANS_S:
             share = shares[rollout.between(first, last - rollout.interval_s)].mean()
             ratios[f"the {each.name}, {first} to {last} s"] = float(share)
-    return ratio(ratios, "the speed")
+    errors = np.abs(np.reshape([*ratios.values()], (-1, len(SPANS_S))) - 1.0)
+    return replace(ratio(ratios, "the speed"), cause=_by_speed(errors))
+
+
+def _by_speed(errors: FloatArray) -> str:
+    """Return why balls are off, if all of a kind are or those above or below some speed; empty otherwise.
+
+    Args:
+        errors: Relative error of the speed of each ball in each span, shape [ball_count, span_count].
+    """
+    moving = len(SPEEDS_M_PER_S)
+    causes = set()
+    for sizes, rows in (
+        (np.abs(SPEEDS_M_PER_S), errors[:moving]),
+        (np.abs(RATES_RAD_PER_S), errors[moving:]),
+    ):
+        off = ~(rows < STEADY).all(axis=1)
+        if off.all():
+            grows = (rows[:, 0] < 0.7 * rows[:, -1]).all()
+            causes.add(DAMPED if grows else "the start has another velocity or spin")
+        elif off.any() and sizes[off].min() > sizes[~off].max():
+            causes.add("speed or spin has a limit")
+        elif off.any() and sizes[off].max() < sizes[~off].min():
+            causes.add("slow bodies fall asleep")
+    return causes.pop() if len(causes) == 1 else ""
 
 
 def _tumble(lab: Lab) -> Recording:

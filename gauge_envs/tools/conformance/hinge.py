@@ -146,23 +146,6 @@ def hinge_radius(lab: Lab) -> Measurement:
 
 
 @check(
-    "pendulum-period",
-    title="period of pendulums",
-    law="T = 4 sqrt((l^2 + k^2) / (g l)) K(sin^2(theta / 2)), with gravity across the axis",
-    tolerance=Tolerance("a fifth of a period in 100 periods", absolute=2e-3),
-    cause="the inertia about the hinge, the anchor, damping, friction or armature of the hinge",
-)
-def pendulum_period(lab: Lab) -> Measurement:
-    """The bodies of hinge-radius.
-
-    Mean period over the law, the worst.
-
-    Source: physical pendulum, complete elliptic integral.
-    """
-    return ratio(lab.once(_pendulums)[1], "the period")
-
-
-@check(
     "pendulum-energy",
     title="energy of pendulums, balanced bars and pushed bodies",
     law="T + V = const",
@@ -179,6 +162,23 @@ def pendulum_energy(lab: Lab) -> Measurement:
     Source: hinge without friction (scene.Hinge).
     """
     return largest(lab.once(_pendulums)[2], "%")
+
+
+@check(
+    "pendulum-period",
+    title="period of pendulums",
+    law="T = 4 sqrt((l^2 + k^2) / (g l)) K(sin^2(theta / 2)), with gravity across the axis",
+    tolerance=Tolerance("a fifth of a period in 100 periods", absolute=2e-3),
+    cause="the inertia about the hinge, the anchor, damping, friction or armature of the hinge",
+)
+def pendulum_period(lab: Lab) -> Measurement:
+    """The bodies of hinge-radius.
+
+    Mean period over the law, the worst.
+
+    Source: physical pendulum, complete elliptic integral.
+    """
+    return ratio(lab.once(_pendulums)[1], "the period")
 
 
 # --- strings ---------------------------------------------------------------------------------------------------------

@@ -146,21 +146,50 @@ EDGES = {
 }
 
 
+SLOW = {
+    f"{speed:g} mm/s": _Shot(1e-3 * speed, 0.5, 0.15, -1 if speed == 60.0 else 1)
+    for speed in (300.0, 100.0, 60.0, 30.0)
+}
+
+
 @check(
-    "crossed-edges",
-    title="rebound of edges that cross",
-    law="v'/v = e",
-    tolerance=Tolerance("as for a drop: 1 % of the speed", absolute=0.02),
-    cause="edge against edge has no contact, or its normal is that of a face",
+    "rebound-slow",
+    title="slow rebound",
+    law="v' = -e v at any speed",
+    unit="mm/s",
+    tolerance=Tolerance(
+        "2 % of the fastest; a threshold takes 15 or more", absolute=3.0
+    ),
+    cause="bodies do not rebound below a threshold speed: set it to 0",
 )
-def crossed_edges(lab: Lab) -> Measurement:
-    """A bar that meets a free bar at 0.6 m/s, edge across edge, without gravity; restitution 0.5.
+def rebound_slow(lab: Lab) -> Measurement:
+    """Balls that fly against a wall with 300, 100, 60 and 30 mm/s; restitution 0.5, no gravity.
 
-    Speed of separation over that of approach, over the restitution.
+    Speed after the impact that is furthest from the law.
 
-    Source: Newton's law of restitution; contract (scene.Contact): boxes have edges.
+    Source: Newton's law of restitution.
     """
-    return _worst(_rebounds(_fly(lab, EDGES), EDGES))
+    rollout = _fly(lab, SLOW)
+    ratios = _rebounds(rollout, SLOW)
+    expected = {name: 500.0 * shot.speed_m_per_s for name, shot in SLOW.items()}
+    worst = max(SLOW, key=lambda name: expected[name] * abs(ratios[name] - 1.0))
+    asleep = [
+        name
+        for name, shot in SLOW.items()
+        if rollout.velocity(name)[rollout.sample_at(0.1), 0] < 0.9 * shot.speed_m_per_s
+    ]
+    dead = [name for name, rebound in ratios.items() if abs(rebound) < 0.2]
+    cause = ""
+    if asleep:
+        cause = f"the engine puts balls of {', '.join(asleep)} to sleep"
+    elif dead:
+        cause = f"a threshold speed of restitution, above {', '.join(dead)}"
+    return Measurement(
+        measured=expected[worst] * ratios[worst],
+        expected=expected[worst],
+        hint=f"the rebound of {worst} is wrong",
+        cause=cause,
+    )
 
 
 VOLLEY = {
@@ -202,6 +231,23 @@ def volley(lab: Lab) -> Measurement:
     """
     early, late = _rebounds(lab.once(_volley), VOLLEY), _rebounds(_fly(lab, LATE), LATE)
     return _worst(early | late)
+
+
+@check(
+    "crossed-edges",
+    title="rebound of edges that cross",
+    law="v'/v = e",
+    tolerance=Tolerance("as for a drop: 1 % of the speed", absolute=0.02),
+    cause="edge against edge has no contact, or its normal is that of a face",
+)
+def crossed_edges(lab: Lab) -> Measurement:
+    """A bar that meets a free bar at 0.6 m/s, edge across edge, without gravity; restitution 0.5.
+
+    Speed of separation over that of approach, over the restitution.
+
+    Source: Newton's law of restitution; contract (scene.Contact): boxes have edges.
+    """
+    return _worst(_rebounds(_fly(lab, EDGES), EDGES))
 
 
 @check(
@@ -275,52 +321,6 @@ def strike_aside(lab: Lab) -> Measurement:
         for part, off in zip(parts, seen - law, strict=True):
             ratios[f"the {part}, {name}"] = 1.0 + float(off)
     return ratio(ratios, "motion after the impact")
-
-
-SLOW = {
-    f"{speed:g} mm/s": _Shot(1e-3 * speed, 0.5, 0.15, -1 if speed == 60.0 else 1)
-    for speed in (300.0, 100.0, 60.0, 30.0)
-}
-
-
-@check(
-    "rebound-slow",
-    title="slow rebound",
-    law="v' = -e v at any speed",
-    unit="mm/s",
-    tolerance=Tolerance(
-        "2 % of the fastest; a threshold takes 15 or more", absolute=3.0
-    ),
-    cause="bodies do not rebound below a threshold speed: set it to 0",
-)
-def rebound_slow(lab: Lab) -> Measurement:
-    """Balls that fly against a wall with 300, 100, 60 and 30 mm/s; restitution 0.5, no gravity.
-
-    Speed after the impact that is furthest from the law.
-
-    Source: Newton's law of restitution.
-    """
-    rollout = _fly(lab, SLOW)
-    ratios = _rebounds(rollout, SLOW)
-    expected = {name: 500.0 * shot.speed_m_per_s for name, shot in SLOW.items()}
-    worst = max(SLOW, key=lambda name: expected[name] * abs(ratios[name] - 1.0))
-    asleep = [
-        name
-        for name, shot in SLOW.items()
-        if rollout.velocity(name)[rollout.sample_at(0.1), 0] < 0.9 * shot.speed_m_per_s
-    ]
-    dead = [name for name, rebound in ratios.items() if abs(rebound) < 0.2]
-    cause = ""
-    if asleep:
-        cause = f"the engine puts balls of {', '.join(asleep)} to sleep"
-    elif dead:
-        cause = f"a threshold speed of restitution, above {', '.join(dead)}"
-    return Measurement(
-        measured=expected[worst] * ratios[worst],
-        expected=expected[worst],
-        hint=f"the rebound of {worst} is wrong",
-        cause=cause,
-    )
 
 
 THIN_M, BULLET_M_PER_S = 0.002, 6.0

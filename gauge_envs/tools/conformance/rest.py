@@ -1,6 +1,6 @@
 """Bodies at rest: pairs that collide, heights, towers, walls, and long rest."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product, repeat
 from typing import NamedTuple
@@ -246,17 +246,29 @@ def rest_heights(lab: Lab) -> Measurement:
 
     Source: sizes of both shapes (scene.Shape).
     """
-    errors_mm = {}
+    up_mm: dict[str, float] = {}
     for pairs, rollout in lab.once(_rest):
-        last = rollout.between(0.14, REST_S)
-        for pair in pairs:
-            up_m = rollout.displacement(pair.top)[last, 2]
-            errors_mm[pair.top] = 1e3 * float(up_m.mean())
-    wrong = sorted(errors_mm, key=lambda name: -abs(errors_mm[name]))
-    count = sum(abs(mm) > SHIFT_MM for mm in errors_mm.values())
-    worst = ", ".join(f"{name} {errors_mm[name]:.3g} mm" for name in wrong[:4])
-    hint = f"{count} of {len(wrong)} pairs are off their heights, {worst}"
-    return Measurement(measured=errors_mm[wrong[0]], hint=hint)
+        up_mm |= _up_mm(rollout, [pair.top for pair in pairs])
+    return _off_heights(up_mm, SHIFT_MM)
+
+
+def _up_mm(rollout: Recording, names: Iterable[str]) -> dict[str, float]:
+    """Return mean displacements upward 0.14 to 0.2 s after the start [mm]."""
+    last = rollout.between(0.14, REST_S)
+    return {
+        name: 1e3 * float(rollout.displacement(name)[last, 2].mean()) for name in names
+    }
+
+
+def _off_heights(up_mm: Mapping[str, float], within_mm: float) -> Measurement:
+    """Measure the largest displacement upward of a body on its support."""
+    order = sorted(up_mm, key=lambda name: -abs(up_mm[name]))
+    wrong = [name for name in order if not abs(up_mm[name]) < within_mm]
+    worst = ", ".join(f"{name} {up_mm[name]:.3g} mm" for name in wrong[:4])
+    hint = f"{len(wrong)} of {len(order)} are off their heights, {worst}"
+    falls = up_mm[order[0]] < -250.0 * G * REST_S**2
+    cause = "the pair has no contact" if falls else ""
+    return Measurement(measured=up_mm[order[0]], hint=hint, cause=cause)
 
 
 FLAT = ("plane", "block", "box", "turned box")
@@ -395,16 +407,8 @@ def _further_heights(
 ) -> Measurement:
     """Measure the largest mean displacement upward of a body on its support."""
     rollout = lab.rollout(_on_supports(lab.buildable(pairs, _on_supports)))
-    last = rollout.between(0.14, REST_S)
-    up_mm = {
-        each.name: 1e3 * float(rollout.displacement(each.name)[last, 2].mean())
-        for each in rollout.scene.dynamic_bodies
-    }
-    worst = max(up_mm, key=lambda name: abs(up_mm[name]))
-    wrong = [f"{name} {mm:.3g} mm" for name, mm in up_mm.items() if abs(mm) > within_mm]
-    falls = up_mm[worst] < -250.0 * G * REST_S**2
-    cause = "the pair has no contact" if falls else ""
-    return Measurement(measured=up_mm[worst], hint=", ".join(wrong), cause=cause)
+    names = [each.name for each in rollout.scene.dynamic_bodies]
+    return _off_heights(_up_mm(rollout, names), within_mm)
 
 
 @check(

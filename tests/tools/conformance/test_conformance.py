@@ -11,7 +11,12 @@ from faults import FAULTS, Fault, Faulty, Planted
 from gauge_envs.backends import Repeatability, Support, backend
 from gauge_envs.errors import BackendError, UnknownNameError
 from gauge_envs.scene import Box, Motion
-from gauge_envs.tools.conformance import Status, checks, run_checks
+from gauge_envs.tools.conformance import (
+    Status,
+    causes as causes_module,
+    checks,
+    run_checks,
+)
 from gauge_envs.tools.conformance.causes import likely_causes
 from gauge_envs.tools.conformance.report import engine_document
 from gauge_envs.tools.conformance.results import levels
@@ -81,30 +86,64 @@ def test_no_earlier_check_fails(name):
     pytest.fail("no check fails")
 
 
-def test_a_cause_needs_the_results_of_all_checks():
-    """A missing gyroscopic term leaves inertia and impacts right, a wrong inertia does not."""
+@pytest.fixture
+def causes(monkeypatch):
+    """Return a function: the causes of failures with signs, by a table of three causes."""
     (result,) = run_checks(MUJOCO, only=["tumble-long"])
     passed = {entry.id: replace(result, of=entry) for entry in checks()}
+    faults = {
+        "gravity": [{"free-fall": "<", "pendulum-period": ">", "slide": "<"}],
+        "friction": [{"slide": "<", "slide-between": "<"}],
+        "other friction": [{"slide": ">", "slide-between": ">"}],
+    }
+    released = {"volley": 0.7, "rebound-flat": 0.7}
+    monkeypatch.setattr(causes_module, "_table", lambda: (faults, released))
 
-    def causes(*failed):
-        bad = {name: replace(passed[name], status=Status.FAIL) for name in failed}
+    def named(**failed):
+        bad = {
+            name: replace(
+                passed[name],
+                status=Status.FAIL,
+                expected=1.0,
+                measured=0.9 if sign == "<" else 1.1,
+            )
+            for name, sign in failed.items()
+        }
         return likely_causes([*(passed | bad).values()])
 
+    return named
+
+
+GRAVITY = {"free-fall": "<", "pendulum-period": ">", "slide": "<"}
+
+
+def test_a_cause_needs_all_its_failures_with_their_signs(causes):
     assert causes() == []
-    assert causes("tumble-long")[0].startswith("the gyroscopic term")
-    inertia = causes("tumble-long", "spin-momentum", "strike-aside", "roll-ball")
-    assert inertia[0].startswith("bodies have another inertia")
-    assert causes("slide-crowd")[0].startswith(
-        "friction is a pyramid in scenes of many"
-    )
-    torques = causes("inertia", "stated-inertia", "worlds-wrench")
-    assert torques[0].startswith("apply_wrench takes the torque in another frame")
-    pushes = causes("inertia", "pendulum-energy", "wrench-force")
-    assert pushes[0].startswith("apply_wrench acts on another body")
-    slow = causes("volley", "rebound-slow")
-    assert slow[0].startswith("bodies do not rebound below a threshold")
-    directions = causes("slide-crowd", "pucks-friction", "slide")
-    assert directions[0].startswith("friction is a pyramid in place of a cone")
+    (text,) = causes(**GRAVITY)
+    assert text == "gravity (fails: free-fall, pendulum-period, slide)"
+    assert causes(**GRAVITY | {"free-fall": ">", "pendulum-period": "<"}) == []
+    (text,) = causes(**{"slide": ">", "slide-between": ">"})
+    assert text.startswith("other friction (")
+
+
+def test_a_single_failure_keeps_its_own_diagnosis(causes):
+    assert causes(slide="<") == []
+
+
+def test_failures_that_are_common_hide_no_cause_and_rare_ones_do(causes):
+    common = {"volley": "<", "rebound-flat": ">"}
+    assert len(causes(**GRAVITY, **common)) == 1
+    rare = dict.fromkeys(("tumble-long", "wall", "hold", "torsion", "grasp"), ">")
+    assert causes(**GRAVITY, **rare) == []
+
+
+def test_a_second_cause_is_named_after_the_first_and_equal_ones_together(causes):
+    both = causes(**GRAVITY, **{"slide-between": "<"})
+    assert both[0].startswith("gravity (")
+    table, _ = causes_module._table()
+    table["brakes"] = table["friction"]
+    (text,) = causes(**{"slide": "<", "slide-between": "<"})
+    assert text.startswith("several causes fit: friction; or brakes (")
 
 
 def test_a_broken_filter_is_found_before_motion():
