@@ -18,7 +18,7 @@ from gauge_envs.tools.conformance.model import CheckResult, Status
 RARE = 0.02
 """Share of engines for a check that all released engines pass."""
 
-NEAR = 0.6
+NEAR = 0.7
 """Smallest agreement of a cause, of 1."""
 
 LEAST = log(7.0)
@@ -39,9 +39,12 @@ class _Fit(NamedTuple):
     fails: frozenset[str]
 
 
+Table = tuple[Mapping[str, Sequence[Signs]], Mapping[str, float]]
+"""Signs of planted faults by cause, and the share of released engines that fail each check."""
+
+
 @cache
-def _table() -> tuple[Mapping[str, Sequence[Signs]], Mapping[str, float]]:
-    """Return the signs of planted faults by cause, and the share of released engines that fail each check."""
+def _table() -> Table:
     table = json.loads(Path(__file__).with_suffix(".json").read_text())
     return table["faults"], table["released"]
 
@@ -51,16 +54,13 @@ def likely_causes(results: Sequence[CheckResult]) -> list[str]:
     ran = {r.check: r for r in results if r.status is not Status.UNSUPPORTED}
     left = {name: sign_of(result) for name, result in ran.items() if result.is_bad}
     texts: list[str] = []
-    while True:
-        fits = sorted(_fits(left, ran.keys()), reverse=True)
-        if not fits or fits[0].agreement < NEAR:
-            return texts
-        best = [fit for fit in fits if fit.agreement > fits[0].agreement - ALIKE]
+    while best := nearest(fits := ranked(left, ran.keys(), _table())):
         passed = [name for fit in fits for name in sorted(fit.fails & ran.keys())]
         right = [name for name in dict.fromkeys(passed) if not ran[name].is_bad]
         texts.append(_text(best, sorted(best[0].fails & left.keys()), right))
         for name in frozenset().union(*(fit.fails for fit in best)):
             left.pop(name, None)
+    return texts
 
 
 def sign_of(result: CheckResult) -> str:
@@ -70,26 +70,32 @@ def sign_of(result: CheckResult) -> str:
     return "<" if result.measured < result.expected else ">"
 
 
-def _fits(signs: Signs, ran: Iterable[str]) -> Iterable[_Fit]:
-    """Yield the agreement with planted faults of which two checks fail.
+def nearest(fits: Sequence[_Fit]) -> list[_Fit]:
+    """Return the best of ranked fits and those that fit alike; none if the best is not near."""
+    near = [fit for fit in fits if fit.agreement >= NEAR]
+    return [fit for fit in near if fit.agreement > near[0].agreement - ALIKE]
+
+
+def ranked(signs: Signs, ran: Iterable[str], table: Table) -> list[_Fit]:
+    """Return the agreement with planted faults of which two checks fail, the best first.
 
     It is the weight of equal failures over that of all that the fault has and half of that of the others.
     """
-    faults, _ = _table()
+    faults, shares = table
+    fits = []
+
+    def weight(checks: Iterable[str]) -> float:
+        return -sum(log(shares.get(name, RARE)) for name in checks)
+
     for cause, members in faults.items():
         for member in members:
             expected = {name: member[name] for name in member.keys() & ran}
             equal = {name for name, sign in expected.items() if signs.get(name) == sign}
-            if len(equal) > 1 and _weight(equal) > LEAST:
-                others = _weight(signs.keys() - expected.keys())
-                agreement = _weight(equal) / (_weight(expected) + 0.5 * others)
-                yield _Fit(agreement, cause, frozenset(expected))
-
-
-def _weight(checks: Iterable[str]) -> float:
-    """Return the weight of failures."""
-    _, released = _table()
-    return -sum(log(released.get(name, RARE)) for name in checks)
+            if len(equal) > 1 and weight(equal) > LEAST:
+                others = weight(signs.keys() - expected.keys())
+                agreement = weight(equal) / (weight(expected) + 0.5 * others)
+                fits.append(_Fit(agreement, cause, frozenset(expected)))
+    return sorted(fits, reverse=True)
 
 
 def _text(best: Sequence[_Fit], failed: Sequence[str], passed: Sequence[str]) -> str:
