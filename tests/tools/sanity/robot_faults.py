@@ -24,7 +24,7 @@ INERTIAL = (
 )
 
 FAULTS = {
-    ("density", "lead has 12,000"): ('mass="7.84"', 'density="150000"'),
+    ("density", "densest metal"): ('mass="7.84"', 'density="150000"'),
     ("inertia", "trunk"): ('<geom name="trunk"', INERTIAL.format("9")),
     ("inertia", "times the inertia"): ('<geom name="trunk"', INERTIAL.format("1e-4")),
     ("start-overlap", "RL_foot and FL_foot"): (

@@ -20,6 +20,7 @@ from gauge_envs.tools.sanity.model_checks.drives import (
 )
 from gauge_envs.tools.sanity.model_checks.rule import Fault, rule
 from gauge_envs.tools.sanity.robot.robot import (
+    BODY_JOINS,
     Robot,
     reaches_m,
     root_of,
@@ -65,6 +66,7 @@ def _brakes(drive: Drive) -> Iterator[Fault]:
         brake / drive.push,
         f"{drive.name} takes {digits_text(brake)} {force} to reach {speed * drive.scale:g} {angle}/s in {seconds:g} s, "
         f"and its motor makes {digits_text(drive.push)} {force}: {brakes}",
+        drive.is_leg,
     )
     if not drive.is_hinge:
         return
@@ -127,13 +129,15 @@ def _modes(robot: Robot, driven: list[Drive]) -> Iterator[Fault]:
     """
     if not driven:
         return
-    step_s = robot.model.opt.timestep
+    model, step_s = robot.model, robot.model.opt.timestep
 
     def drive_of(mode: FloatArray) -> Drive:
         energies = [drive.kp * abs(mode[drive.dof]) ** 2 for drive in driven]
         return driven[int(np.argmax(energies))]
 
-    for ratio, mode in _eigenmodes(robot, "frictionloss"):
+    # A closed chain shares the inertia of its links, which the open one does not.
+    is_closed = np.isin(model.eq_type[model.eq_active0 != 0], BODY_JOINS).any()
+    for ratio, mode in () if is_closed else _eigenmodes(robot, "frictionloss"):
         growth, drive = min(np.abs(ratio), MAX_RATIO) ** GROWTH_STEPS, drive_of(mode)
         text = f"{drive.name} is unstable: a small motion grows {np.abs(ratio):.3g} times in each step of "
         text += f"{1e3 * step_s:g} ms, with kp {digits_text(drive.kp)}, kv {digits_text(drive.kv)}"

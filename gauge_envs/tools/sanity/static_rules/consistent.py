@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import re
+from collections.abc import Iterable, Iterator, Mapping
 from itertools import chain, product
 from typing import NamedTuple
 
@@ -11,7 +12,12 @@ import numpy as np
 
 from gauge_envs.scene.geometry import FloatArray, IntArray
 from gauge_envs.tools.sanity.model_checks.check import Change
-from gauge_envs.tools.sanity.model_checks.drives import drives, servos, start
+from gauge_envs.tools.sanity.model_checks.drives import (
+    drives,
+    largest_loads,
+    servos,
+    start,
+)
 from gauge_envs.tools.sanity.model_checks.rule import Fault, rule, unit_text
 from gauge_envs.tools.sanity.robot.robot import (
     Place,
@@ -28,12 +34,12 @@ from gauge_envs.tools.sanity.static_rules.sides import limb_of, mirrored, side_o
 
 # --- keyframes -------------------------------------------------------------------------------------------------------
 
-OUTSIDE = 0.02
-"""Share of a range by which a value may lie outside of it, because of rounding."""
+OUTSIDE = 0.05
+"""Share of a range by which a value may lie outside of it, as stops are soft."""
 
 
 def _beyond(value: float, limits: FloatArray) -> tuple[float, str]:
-    """Return how far a value is outside of a range, over its span, and the range as a text; 0 for rounding."""
+    """Return how far a value is outside of a range, over its span, and the range as a text; 0 within `OUTSIDE`."""
     low, high = limits.tolist()
     share = max(low - value, value - high) / max(high - low, 1e-9)
     return share * (share > OUTSIDE), f"{low:.4g} to {high:.4g}"
@@ -146,8 +152,11 @@ def command_range(robot: Robot) -> Iterator[Fault]:
             )
 
 
-WEAK = 5.0
-"""Error at which a servo has its force limit, over the range of its joint; real servos need less than the range."""
+WEAK, MAX_MARGIN = 5.0, 100.0
+"""Error at which a servo has its force limit, over the range of its joint: real servos need less than the range.
+
+A limit of more than a hundred times the weight that the joint carries is no motor's.
+"""
 
 
 @rule(
@@ -161,7 +170,8 @@ def servo_gain(robot: Robot) -> Iterator[Fault]:
     for drive in drives(robot):
         span = float(np.ptp(robot.model.jnt_range[drive.joint]))
         error = drive.limit / drive.kp if drive.kp else 0.0
-        is_weak = np.isfinite(error) and error > WEAK * max(span, 1.0)
+        is_motor = drive.limit < MAX_MARGIN * largest_loads(robot)[drive.dof]
+        is_weak = is_motor and error > WEAK * max(span, 1.0)
         if drive.is_hinge and span and is_weak:
             force, angle = drive.units
             most = f"{drive.kp * span:.2g} of its {drive.limit:.4g} {force}"
@@ -182,8 +192,15 @@ def names(robot: Robot) -> Iterator[Fault]:
     """Yield actuators with the name of another joint, and elements that belong to the other side."""
     model = robot.model
     joints = {model.joint(joint).name: joint for joint in range(model.njnt)}
-    known = {*model.names.decode().split("\0")}
-    for kind, number, owner_kind, owner in _references(model):
+    references = [*_references(model)]
+    owners = {(kind, number): owner for kind, number, _, owner in references}
+    mates = {
+        (kind, number): pair[1 - pair.index(number)]
+        for kind in {kind for kind, *_ in references}
+        for pair in mirrored(model, kind)
+        for number in pair
+    }
+    for kind, number, owner_kind, owner in references:
         name = getattr(model, kind)(number).name
         owner_name = getattr(model, owner_kind)(owner).name
         if kind == "actuator" and name and joints.get(name, owner) != owner:
@@ -191,9 +208,12 @@ def names(robot: Robot) -> Iterator[Fault]:
             yield Fault((kind, number), name, text, 2.0, True, ("joint", name))
             continue
         side, owner_side = side_of(name).side, side_of(owner_name).side
-        # The last letter is a roll where a pitch or yaw has the same name.
-        is_roll = not known.isdisjoint(name[:-1] + letter for letter in "PYpy")
-        if side and owner_side and side != owner_side and not is_roll:
+        # Without a mirror part, R may be a roll. A left hand may have a left and a right finger.
+        mate = owners.get((kind, mates.get((kind, number), -1)))
+        is_other = mate not in (None, owner)
+        if kind in ("actuator", "sensor"):
+            is_other = mate is not None or bool(re.search("left|right", name, re.I))
+        if side and owner_side and side != owner_side and is_other:
             text = (
                 f"{kind} {name} belongs to {owner_kind} {owner_name}, on the other side"
             )
@@ -288,14 +308,18 @@ def _size(model: mujoco.MjModel, trait: Trait, number: int) -> float:
     consequence="The robot walks in a circle.",
 )
 def mirror(robot: Robot) -> Iterator[Fault]:
-    """Yield parts whose numbers differ from those of the part on the other side."""
-    model = robot.model
+    """Yield parts of the robot whose numbers differ from those of the part on the other side."""
+    model, parts = robot.model, {*robot.bodies}
     for trait in TRAITS:
         pairs = mirrored(model, trait.kind)
         values = {n: _size(model, trait, n) for n in chain(*pairs)}
         for pair in pairs:
             low, high = sorted(values[n] for n in pair)
-            if high <= trait.ratio * low:
+            # Walls, frames of cameras and objects are no mirror parts of a robot.
+            if (
+                high <= trait.ratio * low
+                or not _owners(model, trait.kind, pair) <= parts
+            ):
                 continue
             texts = [f"{name_of(model, trait.kind, n)} {values[n]:.4g}" for n in pair]
             ratio = high / max(low, 1e-12)
@@ -312,6 +336,16 @@ def mirror(robot: Robot) -> Iterator[Fault]:
             yield Fault(place, name_of(model, *place), text, ratio, change=change)
 
 
+def _owners(model: mujoco.MjModel, kind: str, numbers: Iterable[int]) -> set[int]:
+    """Return the bodies of joints and geoms, or the bodies themselves; none for actuators."""
+    owners = {
+        "joint": model.jnt_bodyid,
+        "geom": model.geom_bodyid,
+        "body": np.arange(model.nbody),
+    }
+    return {int(owners[kind][number]) for number in numbers if kind in owners}
+
+
 def _like_mirror(
     robot: Robot, trait: Trait, values: Mapping[int, float], pair: tuple[int, int]
 ) -> tuple[int, Change | None]:
@@ -325,6 +359,10 @@ def _like_mirror(
                 element = spec_element(robot.spec, trait.kind, right)
                 return odd, (trait.change, getattr(element, trait.key))
     return pair[0], None
+
+
+SIDEWAYS = 0.9
+"""Least component along an axis of the world of the line between mirror joints."""
 
 
 @rule(
@@ -346,11 +384,9 @@ def mirror_axis(robot: Robot) -> Iterator[Fault]:
         # The axis of a turn is a pseudovector: a mirror keeps its component along the normal, and turns the others.
         normal = data.xanchor[left] - data.xanchor[right]
         normal /= max(float(np.linalg.norm(normal)), 1e-9)
+        is_staggered = np.abs(normal).max() < SIDEWAYS
         image = 2.0 * (data.xaxis[left] @ normal) * normal - data.xaxis[left]
-        if (
-            _same_turns(model, image, data.xaxis[right], left, right)
-            or not normal.any()
-        ):
+        if _same_turns(model, image, data.xaxis[right], left, right) or is_staggered:
             continue
         first, second = name_of(model, "joint", left), name_of(model, "joint", right)
         axes = [

@@ -13,6 +13,7 @@ from gauge_envs.tools.sanity.model_checks.drives import drives, start
 from gauge_envs.tools.sanity.model_checks.rule import Fault, rule
 from gauge_envs.tools.sanity.robot.robot import (
     Robot,
+    chain_of,
     geom_name,
     joints_of,
     name_of,
@@ -28,8 +29,8 @@ from gauge_envs.tools.sanity.static_rules.shapes import (
 
 # --- masses ----------------------------------------------------------------------------------------------------------
 
-LEAD_KG_PER_M3, POINT_KG_PER_M3 = 12_000.0, 100_000.0
-"""Density of lead, which no link of a robot exceeds, and of an object that stands for no point mass [kg/m^3]."""
+OSMIUM_KG_PER_M3, POINT_KG_PER_M3 = 22_600.0, 100_000.0
+"""Density of the densest metal, and of an object that stands for no point mass [kg/m^3]."""
 
 LIGHT_KG_PER_M3 = (3.0, 30.0)
 """Densities of aerogel and of a foam [kg/m^3]: a link is too light below a hundredth of the median between them."""
@@ -41,11 +42,11 @@ MIN_SHARE = 1e-3
 @rule(
     "density",
     title="mass of a link over its own shapes",
-    source="lead has 12,000 kg/m^3, aerogel 3, foam 30; the box around all shapes of the link",
+    source="the densest metal has 22,600 kg/m^3, aerogel 3, foam 30; the box around all shapes of the link",
     consequence="The policy learns forces of another robot.",
 )
 def density(robot: Robot) -> Iterator[Fault]:
-    """Yield bodies that are denser than lead in the box around their shapes, or far lighter than the others."""
+    """Yield bodies that are denser than any metal in the box around their shapes, or far lighter than the others."""
     model, shapes = robot.model, body_shapes(robot)
     lights = {
         body: model.body_mass[body] / max(shape.volume_m3, 1e-12)
@@ -59,9 +60,9 @@ def density(robot: Robot) -> Iterator[Fault]:
         least_kg = MIN_SHARE * model.body_subtreemass[model.body_rootid[body]]
         dense, light = mass_kg / max(shape.box_m3, 1e-12), lights[body]
         is_object = int(model.body_treeid[body]) not in robot.driven_trees
-        limit = POINT_KG_PER_M3 if is_object else LEAD_KG_PER_M3
+        limit = POINT_KG_PER_M3 if is_object else OSMIUM_KG_PER_M3
         if dense > limit and mass_kg > least_kg:
-            text = f"{name} weighs {mass_kg:.3g} kg: {dense:,.0f} kg/m^3 in the box around it; lead has 12,000"
+            text = f"{name} weighs {mass_kg:.3g} kg: {dense:,.0f} kg/m^3 around it; the densest metal has 22,600"
             yield Fault(("body", body), name, text, dense / limit)
         is_marker = (
             is_object and not solid_geoms(model)[model.geom_bodyid == body].any()
@@ -72,15 +73,15 @@ def density(robot: Robot) -> Iterator[Fault]:
             yield Fault(("body", body), name, text, least / light)
 
 
-MAX_GYRATION, MIN_GYRATION = 1.0, 1.0 / 5.0
+MAX_GYRATION, MIN_GYRATION = 1.0, 1.0 / 10.0
 """Squared radius of gyration over that of the farthest corner of the link's own shapes, and over that of the shapes."""
 
 
 @rule(
     "inertia",
     title="inertia of a link over its own shapes",
-    source="a mass inside a box gyrates with less than the distance of its farthest corner; with a motor at one end, "
-    "with more than half of an even density",
+    source="a mass inside a box gyrates with less than the distance of its farthest corner; a motor in a long link, "
+    "with a third of the radius of an even density",
     consequence="The link turns faster or slower than the real one.",
 )
 def inertia(robot: Robot) -> Iterator[Fault]:
@@ -103,7 +104,7 @@ def inertia(robot: Robot) -> Iterator[Fault]:
             )
 
 
-MAX_AWAY = 2.0
+MAX_AWAY = 10.0
 """Distance of a centre of mass from the box around the link over its diagonal: drawn parts may be missing."""
 
 
@@ -177,12 +178,20 @@ def range_unit(robot: Robot) -> Iterator[Fault]:
         low, high = model.jnt_range[joint]
         name, span = name_of(model, "joint", joint), high - low
         turns = span / (2.0 * np.pi)
-        if turns > MAX_TURNS and span < ENDLESS_RAD and not in_degrees:
+        if (
+            turns > MAX_TURNS
+            and span < ENDLESS_RAD
+            and not (in_degrees or _in_turns(low, high))
+        ):
             text = f"{name} can turn {digits_text(turns)} times round: range {low:.4g} to {high:.4g} "
             text += "looks like degrees in a file of radians"
             right = "range", np.deg2rad([low, high])
         elif span < MIN_RANGE_RAD and joint in driven and in_degrees:
             low, high = np.rad2deg([low, high])
+            if max(-low, high) > 1.5 * np.pi and np.allclose(
+                [low, high], np.rint([low, high])
+            ):
+                continue
             text = f"{name} can turn by {np.rad2deg(span):.3g} degrees: range {low:.4g} to {high:.4g} "
             text += "looks like radians in a file of degrees"
             right, span = ("range", np.rad2deg([low, high])), 1.0 / max(span, 1e-9)
@@ -191,8 +200,14 @@ def range_unit(robot: Robot) -> Iterator[Fault]:
         yield Fault(("joint", joint), name, text, span, True, right)
 
 
-MIN_STEPS = 20.0
-"""Steps in which a motor turns a joint from stop to stop: in each the speed then changes by a tenth of its peak."""
+def _in_turns(low: float, high: float) -> bool:
+    """Return whether limits are multiples of half a turn, up to rounding [rad]."""
+    halves = np.array([low, high]) / np.pi
+    return np.allclose(halves, np.rint(halves), atol=1e-3)
+
+
+MIN_STEPS = 10.0
+"""Steps in which a motor turns a joint from stop to stop: in each the speed then changes by a fifth of its peak."""
 
 
 @rule(
@@ -233,6 +248,7 @@ LOW_FRICTION, HIGH_FRICTION = 0.05, 3.0
 )
 def foot_friction(robot: Robot) -> Iterator[Fault]:
     """Yield feet whose friction on the ground is outside of the limits."""
+    driven = {drive.body for drive in drives(robot)}
     for row in robot.foot_rows:
         condim, friction = robot.pairs.constants[row, :2].tolist()
         met, ends = friction * (condim > 1), robot.pairs.geoms[row].tolist()
@@ -240,7 +256,11 @@ def foot_friction(robot: Robot) -> Iterator[Fault]:
         ground, foot = sorted(
             ends, key=lambda geom: int(robot.model.geom_bodyid[geom]) in robot.bodies
         )
-        if not LOW_FRICTION <= met <= HIGH_FRICTION:
+        # A ball without friction is a caster, which no motor moves.
+        is_moved = not driven.isdisjoint(
+            chain_of(robot.model, int(robot.model.geom_bodyid[foot]))
+        )
+        if (is_moved and met < LOW_FRICTION) or met > HIGH_FRICTION:
             name = geom_name(robot.model, foot)
             text = f"{name} has friction {met:g} on {geom_name(robot.model, ground)}"
             text += ", by condim 1" if condim == 1 else ""

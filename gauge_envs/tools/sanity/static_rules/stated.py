@@ -220,11 +220,13 @@ def lever(robot: Robot) -> Iterator[Fault]:
     consequence="The joint does not follow its commands.",
 )
 def gear(robot: Robot) -> Iterator[Fault]:
-    """Yield actuators with a gear or a gain of zero, or a range of one value."""
+    """Yield actuators with a gear, a gain without a bias, or a range of forces of zero."""
     model = robot.model
     is_fixed = model.actuator_gaintype == mujoco.mjtGain.mjGAIN_FIXED
     is_idle = ~model.actuator_gear.any(axis=1)
-    is_idle |= is_fixed & (model.actuator_gainprm[:, 0] == 0.0)
+    is_idle |= is_fixed & ~np.hstack(
+        [model.actuator_gainprm, model.actuator_biasprm]
+    ).any(axis=1)
     is_idle |= (model.actuator_forcelimited != 0) & ~model.actuator_forcerange.any(
         axis=1
     )
@@ -235,8 +237,8 @@ def gear(robot: Robot) -> Iterator[Fault]:
         yield Fault(("actuator", number), name, text, is_error=True)
 
 
-LINK_SHARE = 0.2
-"""Mass of a link over its parent's mass below which its weight needs no compensation."""
+LINK_SHARE, FLOATING = 0.2, 0.5
+"""Mass of a link over its parent's below which it needs no compensation; share of a robot that nothing carries."""
 
 
 @rule(
@@ -248,11 +250,12 @@ LINK_SHARE = 0.2
 def gravcomp(robot: Robot) -> Iterator[Fault]:
     """Yield standing robots that gravity does not pull, and links without compensation next to one with it."""
     model, carried = robot.model, robot.model.body_gravcomp > 0.0
-    if robot.standing and carried[robot.bodies].any():
+    weight = model.body_mass[robot.bodies]
+    share = float(weight @ model.body_gravcomp[robot.bodies] / max(weight.sum(), 1e-12))
+    # The arm of a mobile robot may be balanced.
+    if robot.standing and share > FLOATING:
         body = next(body for body in robot.bodies if carried[body])
         name = name_of(model, "body", body)
-        weight = model.body_mass[robot.bodies]
-        share = float((weight * model.body_gravcomp[robot.bodies]).sum() / weight.sum())
         text = f"{name} has gravcomp {model.body_gravcomp[body]:g}: nothing carries {share:.0%} of the robot's weight"
         yield Fault(("body", body), name, text, share, share > 0.9, ("gravcomp", 0.0))
         return
