@@ -153,6 +153,9 @@ SHOWN = {
 }
 """Title of each value in the table of pairs that touch."""
 
+KILO, LARGER = 1000.0, {"um/s": ("mm/s", "m/s"), "um": ("mm", "m")}
+"""Larger units of values, each a thousand times as large."""
+
 HALVED = 0.5
 """Largest share of the worst deviation that a change may leave."""
 
@@ -195,7 +198,9 @@ def pair_parts(
         (
             value.name,
             _value_text(value),
-            "" if value.law is None else f"{value.law:g} +- {value.width:g}",
+            ""
+            if value.law is None
+            else f"{value.law:g} +- {_text(value.width, value.unit)}",
         )
         for value in values
     ]
@@ -252,7 +257,8 @@ def sorted_pair(first: int, second: int) -> tuple[int, int]:
 
 
 def _bench(robot: Robot, pair: tuple[int, int], forces_n: FloatArray | None) -> Bench:
-    return bench(robot, touch_of(robot, pair, forces_n), _constants(robot, pair))
+    touch = touch_of(robot, pair, forces_n, is_late=forces_n is not None)
+    return bench(robot, touch, _constants(robot, pair))
 
 
 def _constants(robot: Robot, pair: tuple[int, int]) -> FloatArray:
@@ -262,9 +268,15 @@ def _constants(robot: Robot, pair: tuple[int, int]) -> FloatArray:
 
 
 def _value_text(value: Value) -> str:
-    if math.isnan(value.value):
-        return "-"
-    return f"{digits_text(round(value.value, 6) + 0.0)} {value.unit}".rstrip()
+    return "-" if math.isnan(value.value) else _text(value.value, value.unit)
+
+
+def _text(number: float, unit: str) -> str:
+    number = round(number, 6) + 0.0
+    for larger in LARGER.get(unit, ()):
+        if abs(number) >= KILO:
+            number, unit = number / KILO, larger
+    return f"{digits_text(number)} {unit}".rstrip()
 
 
 # --- the contact -----------------------------------------------------------------------------------------------------

@@ -101,7 +101,7 @@ MISTAKES = [
     ),
     (
         "stated-margin",
-        "10 mm above",
+        "10 mm ahead",
         {"box": 'margin=".01"'},
         {"box": 'gap=".01"'},
     ),

@@ -19,8 +19,8 @@ from gauge_envs.tools.sanity.model_checks.drives import (
     start,
 )
 from gauge_envs.tools.sanity.model_checks.rule import Fault, rule
+from gauge_envs.tools.sanity.model_checks.runs import finer_solver
 from gauge_envs.tools.sanity.robot.robot import (
-    BODY_JOINS,
     Robot,
     reaches_m,
     root_of,
@@ -129,15 +129,13 @@ def _modes(robot: Robot, driven: list[Drive]) -> Iterator[Fault]:
     """
     if not driven:
         return
-    model, step_s = robot.model, robot.model.opt.timestep
+    step_s = robot.model.opt.timestep
 
     def drive_of(mode: FloatArray) -> Drive:
         energies = [drive.kp * abs(mode[drive.dof]) ** 2 for drive in driven]
         return driven[int(np.argmax(energies))]
 
-    # A closed chain shares the inertia of its links, which the open one does not.
-    is_closed = np.isin(model.eq_type[model.eq_active0 != 0], BODY_JOINS).any()
-    for ratio, mode in () if is_closed else _eigenmodes(robot, "frictionloss"):
+    for ratio, mode in _eigenmodes(robot, "frictionloss"):
         growth, drive = min(np.abs(ratio), MAX_RATIO) ** GROWTH_STEPS, drive_of(mode)
         text = f"{drive.name} is unstable: a small motion grows {np.abs(ratio):.3g} times in each step of "
         text += f"{1e3 * step_s:g} ms, with kp {digits_text(drive.kp)}, kv {digits_text(drive.kv)}"
@@ -167,9 +165,9 @@ def _eigenmodes(
     robot: Robot, *features: str
 ) -> Iterator[tuple[np.complex128, FloatArray]]:
     """Yield eigenvalues and modes of a step where all servos are at rest, with some more features switched off."""
-    model = robot.without(
-        "contact", "gravity", "limit", "spring", "equality", *features
-    )
+    model = robot.without("contact", "gravity", "limit", "spring", *features)
+    # Couplings damp: their forces are differentiated too.
+    model = finer_solver(model)
     if model.opt.integrator == int(mujoco.mjtIntegrator.mjINT_RK4):
         # MuJoCo differentiates no steps of RK4, which is as stable as this one.
         model.opt.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST

@@ -76,23 +76,24 @@ def foot_creep(robot: Robot) -> Finding:
     is_simulated=True,
 )
 def grasp_creep(robot: Robot) -> Finding:
-    """Return the fastest creep of a driven part on a free body, with the load of the run, or the body's weight."""
-    rows = np.flatnonzero(grasping_pairs(robot.model, robot.pairs)).tolist()
+    """Return the fastest creep of a driven part on a free body that it touches in the run."""
+    held = touching(robot)
+    rows = [
+        row
+        for row in np.flatnonzero(grasping_pairs(robot.model, robot.pairs)).tolist()
+        if tuple(robot.pairs.geoms[row].tolist()) in held
+    ]
     if robot.standing is not None or not rows:
-        raise NotApplicableError("no arm of the model can grasp a free body")
-    model = robot.model
-
-    def load_n(pair: Pair) -> FloatArray:
-        trees = model.body_treeid[model.geom_bodyid[list(pair)]].tolist()
-        free = next(tree for tree in trees if tree not in robot.driven_trees)
-        weight_n = model.body_subtreemass[model.tree_bodyadr[free]] * GRAVITY_M_PER_S2
-        return touching(robot).get(pair, np.array([weight_n, 0.0]))
-
-    return _creep(robot, rows, load_n)
+        raise NotApplicableError("no arm of the model touches a free body in its run")
+    return _creep(robot, rows, held.__getitem__, is_late=True)
 
 
 def _creep(
-    robot: Robot, rows: Sequence[int], load_n: Callable[[Pair], FloatArray]
+    robot: Robot,
+    rows: Sequence[int],
+    load_n: Callable[[Pair], FloatArray],
+    *,
+    is_late: bool = False,
 ) -> Finding:
     """Return the pair that creeps fastest, of rows of `pairs` with friction and different contacts."""
     model, speeds, worst = robot.model, dict[str, float](), Finding(value=0.0)
@@ -105,12 +106,15 @@ def _creep(
             pairs.setdefault(key, row)
     for row in [*pairs.values()][:MAX_PAIRS]:
         first, second = robot.pairs.geoms[row].tolist()
-        touch = touch_of(robot, (first, second), load_n((first, second)))
+        pair = first, second
+        touch = touch_of(robot, pair, load_n(pair), is_late=is_late)
         try:
             measured = bench(robot, touch, robot.pairs.constants[row])
         except TargetError:
             continue
         speed = 1e-3 * measured.creep_um_per_s(SHARE)
+        if np.isnan(speed):
+            continue
         name, on = (geom_name(model, geom) for geom in (touch.moving, touch.fixed))
         speeds[name] = max(speed, speeds.get(name, 0.0))
         if speed > worst.value:

@@ -542,7 +542,7 @@ MAX_OFF = 0.1
     consequence="They fall through the floor.",
 )
 def touch(robot: Robot) -> Iterator[Fault]:
-    """Yield free trees of bodies that no pair of geoms stops, though the model has a floor."""
+    """Yield free trees of bodies without thrusters that no pair of geoms stops, though the model has a floor."""
     model, pairs = robot.model, robot.pairs
     solid = (model.geom_contype | model.geom_conaffinity) != 0
     fixed = model.body_weldid[model.geom_bodyid] == 0
@@ -552,13 +552,14 @@ def touch(robot: Robot) -> Iterator[Fault]:
     # Parts of a robot that touch each other do not stop it.
     stopped = np.unique(ends[ends[:, 0] != ends[:, 1]])
     moved = robot.driven_trees
+    lifted = model.jnt_bodyid[model.dof_jntid[robot.driven_dofs]]
     for body in unheld(model):
         tree = model.body_treeid[body]
         is_marker = (
             tree not in moved
             and not solid[model.body_treeid[model.geom_bodyid] == tree].any()
         )
-        if is_marker or tree in stopped or model.body_gravcomp[body]:
+        if is_marker or tree in stopped or body in lifted or model.body_gravcomp[body]:
             continue
         name = name_of(model, "body", body)
         text = f"{name} is free and none of its geoms can touch another body: it falls through the floor"

@@ -127,11 +127,11 @@ def margin(robot: Robot) -> Iterator[Fault]:
     ahead_m = pairs.constants[:, COLUMNS["margin"]][:, 0]
     is_ahead = (ahead_m > MAX_MARGIN_M) & (pairs.kinds < PairKind.MOVING)
     for row in np.flatnonzero(is_ahead):
-        geom = int(pairs.geoms[row].max())
-        name, ratio = geom_name(model, geom), ahead_m[row] / MAX_MARGIN_M
-        text = (
-            f"{name} rests {1e3 * ahead_m[row]:.4g} mm above the ground, by its margin"
+        other, geom = sorted(
+            pairs.geoms[row].tolist(), key=model.geom_bodyid.__getitem__
         )
+        name, ratio = geom_name(model, geom), ahead_m[row] / MAX_MARGIN_M
+        text = f"{name} stops {1e3 * ahead_m[row]:.4g} mm ahead of {geom_name(model, other)}, by its margin"
         wide = filter(model.geom_margin.__getitem__, pairs.geoms[row].tolist())
         for place in [("geom", wider) for wider in wide]:
             yield Fault(
