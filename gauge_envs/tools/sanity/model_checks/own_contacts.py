@@ -49,10 +49,11 @@ Pair = tuple[int, int]
     is_simulated=True,
 )
 def foot_creep(robot: Robot) -> Finding:
-    """Return the fastest creep of a foot that carries its share of the robot's weight."""
+    """Return the fastest creep of a geom of a foot that carries its share of the robot's weight."""
     standing, model = standing_of(robot), robot.model
     weight_n = float(model.body_subtreemass[standing.body]) * GRAVITY_M_PER_S2
-    load_n = np.array([weight_n / len(standing.feet), 0.0])
+    count = sum(map(len, standing.feet.values()))
+    load_n = np.array([weight_n / count, 0.0])
     geoms, first = (
         robot.pairs.geoms[robot.foot_rows],
         model.body_jntadr[model.geom_bodyid],

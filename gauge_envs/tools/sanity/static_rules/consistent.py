@@ -265,7 +265,6 @@ class Trait(NamedTuple):
 TRAITS = (
     Trait("body", "mass [kg]", "mass", change="mass"),
     Trait("body", "inertia [kg m^2]", "inertia", 2.0),
-    Trait("body", "distance from its parent [m]", "pos", 2.0),
     Trait("joint", "type", "type", 1.1),
     Trait("joint", "range", "range", 1.25, "range"),
     Trait("joint", "damping", "damping", change="damping"),
@@ -281,7 +280,6 @@ TRAITS = (
     Trait("geom", "friction", "friction", change="friction"),
     Trait("geom", "condim", "condim", 1.1, "condim"),
     Trait("geom", "collision", "contype"),
-    Trait("geom", "size [m]", "rbound", 2.0),
 )
 
 

@@ -48,8 +48,10 @@ MIN_SHARE = 1e-3
 def density(robot: Robot) -> Iterator[Fault]:
     """Yield bodies that are denser than any metal in the box around their shapes, or far lighter than the others."""
     model, shapes = robot.model, body_shapes(robot)
+    # A rod without mass may carry a weight that is welded to it.
+    links_kg = np.bincount(model.body_weldid, model.body_mass, model.nbody)
     lights = {
-        body: model.body_mass[body] / max(shape.volume_m3, 1e-12)
+        body: links_kg[model.body_weldid[body]] / max(shape.volume_m3, 1e-12)
         for body, shape in shapes.items()
     }
     least = float(
