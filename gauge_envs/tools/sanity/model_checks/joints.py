@@ -68,10 +68,8 @@ def _brakes(drive: Drive) -> Iterator[Fault]:
         f"and its motor makes {digits_text(drive.push)} {force}: {brakes}",
         drive.is_leg,
     )
-    if not drive.is_hinge:
-        return
-    # The rotor of a slide moves through a screw, whose gear makes it heavier than any robot.
-    if not np.isfinite(drive.limit):
+    # The rotor of a slide moves through a screw; a base on several joints has no rotors.
+    if drive.is_hinge and np.isinf(drive.limit) and model.body_jntnum[drive.body] < 3:
         whole = model.body_subtreemass[root] * reaches[root] ** 2
         yield from drive.faults(
             armature / whole,

@@ -360,7 +360,7 @@ def _like_mirror(
 
 
 SIDEWAYS = 0.9
-"""Least component along an axis of the world of the line between mirror joints."""
+"""Cosine from which on the line between mirror joints is along an axis of the world, and a joint is a roll."""
 
 
 @rule(
@@ -373,6 +373,7 @@ def mirror_axis(robot: Robot) -> Iterator[Fault]:
     """Yield hinges that are neither a copy nor the mirror image of the one on the other side."""
     model, data = robot.model, mujoco.MjData(robot.model)
     mujoco.mj_kinematics(model, data)
+    mujoco.mj_comPos(model, data)
     limited = joints_of(model, "HINGE") & (model.jnt_limited != 0)
     for left, right in mirrored(model, "joint"):
         if not limited[[left, right]].all():
@@ -382,9 +383,16 @@ def mirror_axis(robot: Robot) -> Iterator[Fault]:
         # The axis of a turn is a pseudovector: a mirror keeps its component along the normal, and turns the others.
         normal = data.xanchor[left] - data.xanchor[right]
         normal /= max(float(np.linalg.norm(normal)), 1e-9)
-        is_staggered = np.abs(normal).max() < SIDEWAYS
+        # Limbs whose first pose is no mirror image, and rolls about a limb, may have any zero.
+        roots = model.jnt_bodyid[[left, right]]
+        arm, other = data.subtree_com[roots] - data.xanchor[[left, right]]
+        apart = arm - 2.0 * (arm @ normal) * normal - other
+        most = np.linalg.norm(arm) * np.array([SIDEWAYS, 1.0 - SIDEWAYS])
+        is_unknown = np.abs(normal).max() < SIDEWAYS
+        is_unknown |= abs(arm @ data.xaxis[left]) > most[0]
+        is_unknown |= float(np.linalg.norm(apart)) > most[1]
         image = 2.0 * (data.xaxis[left] @ normal) * normal - data.xaxis[left]
-        if _same_turns(model, image, data.xaxis[right], left, right) or is_staggered:
+        if _same_turns(model, image, data.xaxis[right], left, right) or is_unknown:
             continue
         first, second = name_of(model, "joint", left), name_of(model, "joint", right)
         axes = [
