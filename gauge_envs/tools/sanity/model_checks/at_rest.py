@@ -14,6 +14,7 @@ from gauge_envs.tools.sanity.model_checks.free_motion import solver
 from gauge_envs.tools.sanity.model_checks.runs import LATE, ON_PLANE, Run, settled
 from gauge_envs.tools.sanity.robot.robot import (
     Robot,
+    geom_name,
     joints_of,
     name_of,
     reaches_m,
@@ -45,7 +46,7 @@ SOFT_S, HARD = 0.02, 0.9
 
 def is_spring(solref: FloatArray, solimp: FloatArray) -> bool:
     """Return whether constants may mean a spring: a longer time, a stiffness, or a smaller impedance."""
-    return bool(not 0.0 < solref[0] <= SOFT_S or solimp[1] < HARD)
+    return bool(not 0.0 < solref[0] <= SOFT_S or min(solimp[:2]) < HARD)
 
 
 @model_check(
@@ -62,14 +63,16 @@ def overlap(robot: Robot) -> Finding:
     run, findings = settled(robot), []
     model, speeds = run.model, run.speeds_mm_per_s
     for contact in _contacts(run):
-        bodies = model.geom_bodyid[contact.geom].tolist()
-        small, large = sorted(bodies, key=lambda body: body_size_m(model, body))
+        geoms = sorted(
+            contact.geom.tolist(),
+            key=lambda geom: body_size_m(model, int(model.geom_bodyid[geom])),
+        )
+        small = int(model.geom_bodyid[geoms[0]])
         depth_m, size_m = -float(contact.dist), body_size_m(model, small)
-        if speeds[small] <= RESTING_MM_PER_S and not is_spring(
-            contact.solref, contact.solimp
-        ):
-            names = [name_of(robot.model, "body", body) for body in (small, large)]
-            place, share = ("body", small), depth_m / size_m
+        is_soft = is_spring(contact.solref, contact.solimp)
+        if speeds[small] <= RESTING_MM_PER_S and not is_soft:
+            names = [geom_name(robot.model, geom) for geom in geoms]
+            place, share = ("geom", geoms[0]), depth_m / size_m
             remark = f"{names[0]} sinks {1e3 * depth_m:.3g} mm into {names[1]}, {share:.0%} of its size"
             findings.append(Finding(value=share, place=place, remark=remark))
     return worst(findings)

@@ -24,8 +24,8 @@ SHARE = 0.7
 MAX_CREEP_MM_PER_S = 1.4
 """Fastest creep that the published scores of this cube allow [mm/s]; see `object_checks.friction`."""
 
-ROUND = range(mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_BOX)
-"""Types of geoms that roll."""
+ROUND = [kind for kind in range(2, 8) if kind != mujoco.mjtGeom.mjGEOM_BOX]
+"""Types of geoms that roll, meshes among them."""
 
 MAX_PAIRS = 6
 """Largest number of pairs of geoms with different contacts that are measured."""

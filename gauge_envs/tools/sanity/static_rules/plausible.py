@@ -75,15 +75,15 @@ def density(robot: Robot) -> Iterator[Fault]:
             yield Fault(("body", body), name, text, least / light)
 
 
-MAX_GYRATION, MIN_GYRATION = 1.0, 1.0 / 10.0
+MAX_GYRATION, MIN_GYRATION = 1.0, 1.0 / 5.0
 """Squared radius of gyration over that of the farthest corner of the link's own shapes, and over that of the shapes."""
 
 
 @rule(
     "inertia",
     title="inertia of a link over its own shapes",
-    source="a mass inside a box gyrates with less than the distance of its farthest corner; a motor in a long link, "
-    "with a third of the radius of an even density",
+    source="a mass inside a box gyrates with less than the distance of its farthest corner; with a motor at one end, "
+    "with more than half of an even density",
     consequence="The link turns faster or slower than the real one.",
 )
 def inertia(robot: Robot) -> Iterator[Fault]:
@@ -208,8 +208,8 @@ def _in_turns(low: float, high: float) -> bool:
     return np.allclose(halves, np.rint(halves), atol=1e-3)
 
 
-MIN_STEPS = 10.0
-"""Steps in which a motor turns a joint from stop to stop: in each the speed then changes by a fifth of its peak."""
+MIN_STEPS = 20.0
+"""Steps in which a motor turns a joint from stop to stop: in each the speed then changes by a tenth of its peak."""
 
 
 @rule(
