@@ -184,7 +184,7 @@ def pair_parts(
     geoms = [geom_name(model, geom) for geom in range(model.ngeom)]
     pair = sorted_pair(geoms.index(names[0]), geoms.index(names[1]))
     forces_n = touching(robot).get(pair)
-    measured = _bench(robot, pair, forces_n)
+    measured = _bench(robot, pair)
     values = measured.values()
     load = f"pressed with {digits_text(measured.touch.load_n)} N" + (
         " in the run" if forces_n is not None else ", its weight"
@@ -229,19 +229,14 @@ def touching_table(configuration: TrainingConfiguration) -> list[Part]:
             _rule(robot, pair),
         )
         groups.setdefault(key, []).append(pair)
-    rows = [
-        _touching_row(robot, pairs, forces_n[pairs[0]])
-        for pairs in [*groups.values()][:MAX_PAIRS]
-    ]
+    rows = [_touching_row(robot, pairs) for pairs in [*groups.values()][:MAX_PAIRS]]
     titles = "pairs that touch", "friction", *SHOWN.values()
     return [grid(titles, rows)] if rows else []
 
 
-def _touching_row(
-    robot: Robot, pairs: list[tuple[int, int]], forces_n: FloatArray
-) -> list[str]:
+def _touching_row(robot: Robot, pairs: list[tuple[int, int]]) -> list[str]:
     """Return the line of pairs with equal contacts, measured for the one with the largest load."""
-    measured = _bench(robot, pairs[0], forces_n)
+    measured = _bench(robot, pairs[0])
     texts = {value.name: _value_text(value) for value in measured.values()}
     sides = [
         first_names([geom_name(robot.model, geom) for geom in dict.fromkeys(side)], 4)
@@ -256,9 +251,8 @@ def sorted_pair(first: int, second: int) -> tuple[int, int]:
     return min(first, second), max(first, second)
 
 
-def _bench(robot: Robot, pair: tuple[int, int], forces_n: FloatArray | None) -> Bench:
-    touch = touch_of(robot, pair, forces_n, is_late=forces_n is not None)
-    return bench(robot, touch, _constants(robot, pair))
+def _bench(robot: Robot, pair: tuple[int, int]) -> Bench:
+    return bench(robot, touch_of(robot, pair), _constants(robot, pair))
 
 
 def _constants(robot: Robot, pair: tuple[int, int]) -> FloatArray:

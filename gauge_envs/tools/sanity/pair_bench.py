@@ -128,20 +128,19 @@ def touch_of(
     robot: Robot,
     pair: tuple[int, int],
     forces_n: FloatArray | None = None,
-    *,
-    is_late: bool = False,
 ) -> Touch:
-    """Return how two geoms touch; they are moved together along their shortest distance.
+    """Return how two geoms touch, at the end of the run or as it starts; they are moved together.
 
     Args:
         robot: The model.
         pair: The geoms.
-        forces_n: Normal and tangential force [N], shape [2]; None for the weight of the moving tree of bodies.
-        is_late: Whether the pose is that at the end of the run at rest, and not the first one.
+        forces_n: Normal and tangential force in the first pose [N], shape [2]; None for those at the end of the run,
+            or for the weight of the moving tree of bodies where the geoms do not touch then.
     """
     model, data = robot.model, mujoco.MjData(robot.model)
-    late = rest(robot, is_refined=False).data if is_late else robot.stance
-    data.qpos[:] = late.qpos
+    data.qpos[:] = robot.stance.qpos
+    if forces_n is None and (forces_n := touching(robot).get(pair)) is not None:
+        data.qpos[:] = rest(robot, is_refined=False).data.qpos
     mujoco.mj_forward(model, data)
     trees = model.body_rootid[model.geom_bodyid[list(pair)]]
     masses = np.where(

@@ -17,8 +17,6 @@ def good_xml():
     return text.replace("</mujoco>", f"<actuator>{servos}</actuator>{home}</mujoco>")
 
 
-COUPLED = '<equality><joint joint1="FL_knee" joint2="FR_knee" polycoef="3 1 0 0 0"/></equality><keyframe>'
-
 INERTIAL = (
     '<inertial pos="0 0 0" mass="9.6" diaginertia="{0} {0} {0}"/><geom name="trunk"'
 )
@@ -51,7 +49,6 @@ FAULTS = {
         'kv="2"',
         'kv="0"',
     ),
-    ("start-coupling", "off its coupling"): ("<keyframe>", COUPLED),
     ("robot-free", "in the air"): ("<freejoint/>", '<joint type="free"/>'),
     ("robot-feet", "FL_foot"): (
         'name="FL_foot"',

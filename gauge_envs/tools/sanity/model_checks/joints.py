@@ -22,7 +22,6 @@ from gauge_envs.tools.sanity.model_checks.rule import Fault, rule
 from gauge_envs.tools.sanity.model_checks.runs import finer_solver
 from gauge_envs.tools.sanity.robot.robot import (
     Robot,
-    reaches_m,
     root_of,
 )
 
@@ -39,7 +38,7 @@ STEP_PER_S, STEP_PER_S2 = 3.0, 30.0
     "robot-joint",
     title="friction, damping and armature of a joint",
     source="force balance of a slow motion: 0.1 rad/s from rest in 0.2 s, in a leg 3 rad/s in 0.1 s; a leg without "
-    "power gives way to the whole robot; a rotor is rarely heavier than the whole robot where no torque moves it",
+    "power gives way to the whole robot",
     consequence="The policy learns torques that no motor has.",
 )
 def joint_brakes(robot: Robot) -> Iterator[Fault]:
@@ -49,8 +48,7 @@ def joint_brakes(robot: Robot) -> Iterator[Fault]:
 
 
 def _brakes(drive: Drive) -> Iterator[Fault]:
-    robot, (force, angle), model = drive.robot, drive.units, drive.robot.model
-    root, reaches = root_of(model, drive.body), reaches_m(robot)
+    robot, (force, angle) = drive.robot, drive.units
     dry, damping, armature = drive.dry, drive.damping, drive.armature
     brakes = f"friction {digits_text(dry)}, damping {digits_text(damping)}, armature {armature:.3g}"
     if min(dry, damping, armature) < 0.0:
@@ -68,15 +66,6 @@ def _brakes(drive: Drive) -> Iterator[Fault]:
         f"and its motor makes {digits_text(drive.push)} {force}: {brakes}",
         drive.is_leg,
     )
-    # The rotor of a slide moves through a screw; a base on several joints has no rotors.
-    if drive.is_hinge and np.isinf(drive.limit) and model.body_jntnum[drive.body] < 3:
-        whole = model.body_subtreemass[root] * reaches[root] ** 2
-        yield from drive.faults(
-            armature / whole,
-            f"{drive.name} has an armature of {armature:.3g} kg m^2 and no torque limit; "
-            f"the robot has {whole:.2g} kg m^2",
-            True,
-        )
 
 
 # --- servos ----------------------------------------------------------------------------------------------------------

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import mujoco
@@ -35,8 +35,6 @@ CREEP_SOURCE = (
     "(paper, Table 5)"
 )
 
-Pair = tuple[int, int]
-
 
 @model_check(
     "foot-creep",
@@ -63,7 +61,7 @@ def foot_creep(robot: Robot) -> Finding:
     wheels = np.isin(model.geom_type, ROUND) & (first >= 0)
     wheels &= away_m < 0.1 * model.geom_rbound
     rows = np.array(robot.foot_rows)[~wheels[geoms].any(axis=1)].tolist()
-    return _creep(robot, rows, lambda pair: load_n)
+    return _creep(robot, rows, load_n)
 
 
 @model_check(
@@ -86,15 +84,11 @@ def grasp_creep(robot: Robot) -> Finding:
     ]
     if robot.standing is not None or not rows:
         raise NotApplicableError("no arm of the model touches a free body in its run")
-    return _creep(robot, rows, held.__getitem__, is_late=True)
+    return _creep(robot, rows)
 
 
 def _creep(
-    robot: Robot,
-    rows: Sequence[int],
-    load_n: Callable[[Pair], FloatArray],
-    *,
-    is_late: bool = False,
+    robot: Robot, rows: Sequence[int], forces_n: FloatArray | None = None
 ) -> Finding:
     """Return the pair that creeps fastest, of rows of `pairs` with friction and different contacts."""
     model, speeds, worst = robot.model, dict[str, float](), Finding(value=0.0)
@@ -107,8 +101,7 @@ def _creep(
             pairs.setdefault(key, row)
     for row in [*pairs.values()][:MAX_PAIRS]:
         first, second = robot.pairs.geoms[row].tolist()
-        pair = first, second
-        touch = touch_of(robot, pair, load_n(pair), is_late=is_late)
+        touch = touch_of(robot, (first, second), forces_n)
         try:
             measured = bench(robot, touch, robot.pairs.constants[row])
         except TargetError:

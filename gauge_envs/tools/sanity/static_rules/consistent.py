@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from itertools import chain, product
 from typing import NamedTuple
 
@@ -307,17 +307,17 @@ def _size(model: mujoco.MjModel, trait: Trait, number: int) -> float:
 )
 def mirror(robot: Robot) -> Iterator[Fault]:
     """Yield parts of the robot whose numbers differ from those of the part on the other side."""
-    model, parts = robot.model, {*robot.bodies}
+    model = robot.model
+    owners = {"joint": model.jnt_bodyid, "geom": model.geom_bodyid}
+    owners["body"] = np.arange(model.nbody)
     for trait in TRAITS:
-        pairs = mirrored(model, trait.kind)
+        pairs, owner = mirrored(model, trait.kind), owners.get(trait.kind)
         values = {n: _size(model, trait, n) for n in chain(*pairs)}
         for pair in pairs:
             low, high = sorted(values[n] for n in pair)
-            # Walls, frames of cameras and objects are no mirror parts of a robot.
-            if (
-                high <= trait.ratio * low
-                or not _owners(model, trait.kind, pair) <= parts
-            ):
+            # Walls, cameras and objects are no mirror parts of a robot.
+            is_part = owner is None or np.isin(owner[[*pair]], robot.bodies).all()
+            if high <= trait.ratio * low or not is_part:
                 continue
             texts = [f"{name_of(model, trait.kind, n)} {values[n]:.4g}" for n in pair]
             ratio = high / max(low, 1e-12)
@@ -332,16 +332,6 @@ def mirror(robot: Robot) -> Iterator[Fault]:
                 odd, text = lame, f"{text}{name_of(model, 'geom', other)} can"
             place = trait.kind, odd
             yield Fault(place, name_of(model, *place), text, ratio, change=change)
-
-
-def _owners(model: mujoco.MjModel, kind: str, numbers: Iterable[int]) -> set[int]:
-    """Return the bodies of joints and geoms, or the bodies themselves; none for actuators."""
-    owners = {
-        "joint": model.jnt_bodyid,
-        "geom": model.geom_bodyid,
-        "body": np.arange(model.nbody),
-    }
-    return {int(owners[kind][number]) for number in numbers if kind in owners}
 
 
 def _like_mirror(
@@ -495,7 +485,7 @@ def _overlaps_m(
 
 @rule(
     "start-tendon",
-    title="tendons and couplings outside of their range at the start",
+    title="tendons outside of their range at the start",
     source="lengths of the model in its first pose",
     consequence="Episodes begin with a jump.",
 )
@@ -513,32 +503,6 @@ def start_tendon(robot: Robot) -> Iterator[Fault]:
                 unit = "rad" if is_hinge else "m"
             text = f"tendon {name} starts at {length:.4g} {unit}, outside of its range {limits}"
             yield Fault(("tendon", tendon), name, text, share)
-
-
-@rule(
-    "start-coupling",
-    title="couplings that the start does not meet",
-    source="an equality of joints is a polynomial of the second one",
-    consequence="Episodes begin with a jump.",
-)
-def start_coupling(robot: Robot) -> Iterator[Fault]:
-    """Yield joints whose first position is off that of their coupling, by a share of their range."""
-    model, begin = robot.model, start(robot).qpos
-    is_coupling = (model.eq_type == mujoco.mjtEq.mjEQ_JOINT) & (model.eq_active0 != 0)
-    for number in np.flatnonzero(is_coupling & (model.eq_obj2id >= 0)).tolist():
-        joint, other = int(model.eq_obj1id[number]), int(model.eq_obj2id[number])
-        place, leader = model.jnt_qposadr[[joint, other]]
-        lead = begin[leader] - model.qpos0[leader]
-        coupled = np.polyval(model.eq_data[number, 4::-1], lead) + model.qpos0[place]
-        off, span = abs(coupled - begin[place]), np.ptp(model.jnt_range[joint]) or 1.0
-        if off > MAX_OFF * span:
-            name = name_of(model, "joint", joint)
-            text = f"{name} starts {off:.2g} off its coupling; its range is {span:.4g}"
-            yield Fault(("equality", number), name, text, float(off / span))
-
-
-MAX_OFF = 0.1
-"""Distance of a joint from its coupling at the start, over its range."""
 
 
 @rule(

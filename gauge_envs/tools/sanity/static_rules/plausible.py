@@ -160,7 +160,7 @@ def mesh_mass(robot: Robot) -> Iterator[Fault]:
 
 # --- joints ----------------------------------------------------------------------------------------------------------
 
-MAX_TURNS, MIN_RANGE_RAD, ENDLESS_RAD = 4.0, 0.12, 1e4
+MAX_TURNS, MIN_RANGE_RAD, ENDLESS = 4.0, 0.12, 1600.0
 """Largest range of a hinge in turns, the smallest (2 pi in degrees that are read twice is 0.11), and no stop at all."""
 
 
@@ -180,11 +180,9 @@ def range_unit(robot: Robot) -> Iterator[Fault]:
         low, high = model.jnt_range[joint]
         name, span = name_of(model, "joint", joint), high - low
         turns = span / (2.0 * np.pi)
-        if (
-            turns > MAX_TURNS
-            and span < ENDLESS_RAD
-            and not (in_degrees or _in_turns(low, high))
-        ):
+        halves = np.array([low, high]) / np.pi
+        is_turns = np.allclose(halves, np.rint(halves), atol=1e-3)
+        if MAX_TURNS < turns < ENDLESS and not (in_degrees or is_turns):
             text = f"{name} can turn {digits_text(turns)} times round: range {low:.4g} to {high:.4g} "
             text += "looks like degrees in a file of radians"
             right = "range", np.deg2rad([low, high])
@@ -200,12 +198,6 @@ def range_unit(robot: Robot) -> Iterator[Fault]:
         else:
             continue
         yield Fault(("joint", joint), name, text, span, True, right)
-
-
-def _in_turns(low: float, high: float) -> bool:
-    """Return whether limits are multiples of half a turn, up to rounding [rad]."""
-    halves = np.array([low, high]) / np.pi
-    return np.allclose(halves, np.rint(halves), atol=1e-3)
 
 
 MIN_STEPS = 20.0
