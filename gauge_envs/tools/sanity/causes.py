@@ -30,6 +30,7 @@ HARMLESS = (
     "stated-margin",
     "stated-solref",
     "imu-frame",
+    "friction-lever",
 )
 """Static rules that explain no motion at rest."""
 

@@ -42,7 +42,7 @@ FAULTS = {
         'kp="80" kv="2"',
         'kp="800" kv="400"',
     ),
-    ("robot-drive", "half of a small step"): ('kv="2"', 'kv="200"'),
+    ("robot-drive", "half of a small step"): ('kv="2"', 'kv="400"'),
     ("robot-drive", "swings"): (
         'damping="0.5" frictionloss="0.2"',
         "",

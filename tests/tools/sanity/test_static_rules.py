@@ -73,7 +73,7 @@ MISTAKES = [
     ),
     ("start-command", "commands elbow to 2", {"command": "2"}, {"command": "1.5"}),
     ("start-overlap", "20 mm", {"height": ".03"}, {"height": ".048"}),
-    ("start-tendon", "0 rad, outside", {"cord": ".4 .6"}, {"cord": "-.1 .1"}),
+    ("start-tendon", "0, outside", {"cord": ".4 .6"}, {"cord": "-.1 .1"}),
     (
         "names",
         "left_tip, on the other side",
@@ -365,3 +365,61 @@ def test_a_coupling_brakes_a_motion_without_damping(length_m, ratio, tmp_path):
         file.write_text(SMALL.format(bodies, coupling))
         report = check(str(file), only=["robot-energy"], explain=False)
         assert ("robot-energy" in report.flags) is not bool(coupling)
+
+
+FREE = """<body pos="0 0 1"><freejoint name="root"/><geom {} size=".05" density="{}"/><site name="hook"/>
+  <body pos=".1 0 0"><joint name="part" axis="0 1 0"/><geom size=".02" {}/></body></body>"""
+GHOST = 'contype="0" conaffinity="0"'
+
+
+@pytest.mark.parametrize(
+    ("held", "falls"),
+    [
+        ("", False),
+        ('<actuator><motor joint="part"/></actuator>', True),
+        ('<actuator><motor joint="root" gear="0 0 1 0 0 0"/></actuator>', False),
+        ('<actuator><motor site="hook" gear="0 0 1 0 0 0"/></actuator>', False),
+        (
+            '<tendon><spatial><site site="beam"/><site site="hook"/></spatial></tendon>',
+            False,
+        ),
+    ],
+)
+@pytest.mark.parametrize("density", [300, 1000, 3000, 8000])
+def test_what_a_rope_or_a_thruster_holds_does_not_fall(held, falls, density, tmp_path):
+    floor = '<geom type="plane" size="1 1 1"/><site name="beam" pos="0 0 2"/>'
+    body = FREE.format(GHOST, density, GHOST)
+    flags = flags_of(SMALL.format(floor + body, held), tmp_path)
+    solid = flags_of(SMALL.format(floor + FREE.format("", density, ""), held), tmp_path)
+    assert ("touch" in flags) is falls and "touch" not in solid
+
+
+@pytest.mark.parametrize("radius_m", [0.1, 0.2, 0.3, 0.4, 0.5])
+def test_a_rod_without_mass_carries_the_weight_that_is_welded_to_it(radius_m, tmp_path):
+    rod = '<body><joint/><geom type="capsule" size=".05 {0}" mass="1e-6"/>{1}</body>'
+    tip = f'<body pos="0 0 {radius_m}"><geom size=".05" mass="1"/></body>'
+    for weight, is_light in (("", True), (tip, False)):
+        assert (
+            density_of(tmp_path, SMALL.format(rod.format(radius_m, weight), "")).is_flag
+            is is_light
+        )
+
+
+CAR = """<geom type="plane" size="9 9 1"/><body pos="0 0 .05"><freejoint/>
+  <geom type="box" size=".2 .1 .02" mass="2" contype="0" conaffinity="0"/>
+  <geom size=".05" pos=".15 0 0" {}/><body pos="-.1 .1 0"><joint name="l" axis="0 1 0"/>
+  <geom type="cylinder" size=".05 .01" quat="1 1 0 0" {}/></body>
+  <body pos="-.1 -.1 0"><joint name="r" axis="0 1 0"/>
+  <geom type="cylinder" size=".05 .01" quat="1 1 0 0"/></body></body>"""
+WHEELS = '<actuator><motor joint="l"/><motor joint="r"/></actuator>'
+
+
+@pytest.mark.parametrize("friction", [0, 0.001, 0.01, 0.04])
+def test_a_caster_may_slip_and_a_wheel_not(friction, tmp_path):
+    slips = f'friction="{friction}" priority="1" condim="3"'
+    assert "robot-friction" not in flags_of(
+        SMALL.format(CAR.format(slips, ""), WHEELS), tmp_path
+    )
+    assert "robot-friction" in flags_of(
+        SMALL.format(CAR.format("", slips), WHEELS), tmp_path
+    )

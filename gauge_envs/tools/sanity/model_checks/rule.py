@@ -19,7 +19,6 @@ UNITS = {
     57.29578: "degrees",
     3282.806: "degrees on both sides of a gain",
     25.4: "inches",
-    1e6: "kilograms and square millimetres",
 }
 """Units that a ratio names."""
 

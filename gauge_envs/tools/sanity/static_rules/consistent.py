@@ -153,10 +153,7 @@ def command_range(robot: Robot) -> Iterator[Fault]:
 
 
 WEAK, MAX_MARGIN = 5.0, 100.0
-"""Error at which a servo has its force limit, over the range of its joint: real servos need less than the range.
-
-A limit of more than a hundred times the weight that the joint carries is no motor's.
-"""
+"""Error at which a servo has its limit, over the range of its joint; limit over the weight on it that no motor has."""
 
 
 @rule(
@@ -421,8 +418,9 @@ def start_overlap(robot: Robot) -> Iterator[Fault]:
     """Yield pairs of bodies, objects and the ground included, that overlap in the first pose."""
     model, depths_m = robot.model, _overlaps_m(robot.model, start(robot))
     trees = model.body_treeid[model.geom_bodyid]
-    count = POSES if depths_m else 0
-    poses = [_overlaps_m(model, data) for data in random_poses(model, count)]
+    poses = [
+        _overlaps_m(model, data) for data in random_poses(model, POSES * bool(depths_m))
+    ]
     usual = {
         pair for pair in depths_m if 2 * sum(map(pair.__eq__, chain(*poses))) >= POSES
     }
@@ -497,11 +495,9 @@ def start_tendon(robot: Robot) -> Iterator[Fault]:
         share, limits = _beyond(length, model.tendon_range[tendon])
         if share:
             name = name_of(model, "tendon", tendon)
-            first, unit = model.tendon_adr[tendon], "m"
-            if model.wrap_type[first] == mujoco.mjtWrap.mjWRAP_JOINT:
-                is_hinge = joints_of(model, "HINGE")[model.wrap_objid[first]]
-                unit = "rad" if is_hinge else "m"
-            text = f"tendon {name} starts at {length:.4g} {unit}, outside of its range {limits}"
+            text = (
+                f"tendon {name} starts at {length:.4g}, outside of its range {limits}"
+            )
             yield Fault(("tendon", tendon), name, text, share)
 
 
@@ -521,12 +517,11 @@ def touch(robot: Robot) -> Iterator[Fault]:
     ends = model.body_treeid[model.geom_bodyid[pairs.geoms]]
     # Parts of a robot that touch each other do not stop it.
     stopped = np.unique(ends[ends[:, 0] != ends[:, 1]])
-    moved = robot.driven_trees
     lifted = model.jnt_bodyid[model.dof_jntid[robot.driven_dofs]]
     for body in unheld(model):
         tree = model.body_treeid[body]
         is_marker = (
-            tree not in moved
+            tree not in robot.driven_trees
             and not solid[model.body_treeid[model.geom_bodyid] == tree].any()
         )
         if is_marker or tree in stopped or body in lifted or model.body_gravcomp[body]:

@@ -60,13 +60,12 @@ def density(robot: Robot) -> Iterator[Fault]:
         if dense > limit and mass_kg > least_kg:
             text = f"{name} weighs {mass_kg:.3g} kg: {dense:,.0f} kg/m^3 around it; the densest metal has 22,600"
             yield Fault(("body", body), name, text, dense / limit)
-        is_marker = (
-            is_object and not solid_geoms(model)[model.geom_bodyid == body].any()
-        )
+        own = model.geom_bodyid == body
+        is_marker = is_object and not solid_geoms(model)[own].any()
         is_light = 0.0 < light < LIGHT_KG_PER_M3 and model.body_gravcomp[body] <= 1.0
         if is_light and model.body_dofnum[body] and not is_marker:
             text = f"{name} weighs {mass_kg:.3g} kg: {light:.2g} kg/m^3; aerogel has 3"
-            yield Fault(("body", body), name, text, LIGHT_KG_PER_M3 / light)
+            yield Fault(("body", body), name, text, 1.0 / light)
 
 
 MAX_GYRATION, MIN_GYRATION = 1.0, 1.0 / 5.0

@@ -130,10 +130,10 @@ def margin(robot: Robot) -> Iterator[Fault]:
         )
         name, ratio = geom_name(model, geom), ahead_m[row] / MAX_MARGIN_M
         text = f"{name} stops {1e3 * ahead_m[row]:.4g} mm ahead of {geom_name(model, other)}, by its margin"
-        wide = filter(model.geom_margin.__getitem__, pairs.geoms[row].tolist())
-        for place in [("geom", wider) for wider in wide]:
+        for wider in filter(model.geom_margin.__getitem__, (other, geom)):
+            place = "geom", wider
             yield Fault(
-                ("geom", geom), name, text, ratio, False, ("margin", 0.0), place
+                ("geom", geom), name, text, ratio, change=("margin", 0.0), changed=place
             )
 
 
