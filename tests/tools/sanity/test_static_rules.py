@@ -57,7 +57,7 @@ MISTAKES = [
         {"inertia": "5e-4 .006 .006"},
     ),
     ("command-range", "degrees", {"commands": "-57 86"}, {"commands": "-1.2 1.7"}),
-    ("command-range", "motor", {"commands": "-20 20"}, {"commands": "-.5 .5"}),
+    ("command-range", "-20 to 20", {"commands": "-20 20"}, {"commands": "-.5 .5"}),
     ("servo-gain", "kp 0.87", {"kp": ".87"}, {"kp": "20"}),
     (
         "stated-gear",
@@ -423,3 +423,23 @@ def test_a_caster_may_slip_and_a_wheel_not(friction, tmp_path):
     assert "robot-friction" in flags_of(
         SMALL.format(CAR.format("", slips), WHEELS), tmp_path
     )
+
+
+@pytest.mark.parametrize("angle", [90, -90, 180, 30])
+@pytest.mark.parametrize("axis", ["1 0 0", "0 1 0"])
+def test_a_plane_on_a_turned_body_is_the_ground(angle, axis, tmp_path):
+    """A body that stands for the ground turns by an angle, and its plane back by it."""
+    plane = '<body axisangle="{0} {1}"><geom type="plane" size="1 1 1" axisangle="{0} {2}"/></body>'
+    ball = '<body pos="0 0 1"><freejoint/><geom size=".1"/></body>'
+    file = tmp_path / "robot.xml"
+    file.write_text(SMALL.format(plane.format(axis, angle, -angle) + ball, ""))
+    assert not check(str(file), only=["gravity"], explain=False).flags
+
+
+@pytest.mark.parametrize("mass_kg", [0.001, 0.01, 0.03, 0.1])
+def test_a_motor_without_a_range_has_no_usual_command(mass_kg, tmp_path):
+    drone = f"""<body><freejoint name="root"/><geom size=".02" mass="{mass_kg}"/><site name="hub"/></body>"""
+    motor = '<actuator><motor site="hub" gear="0 0 0 0 0 1"/></actuator>'
+    file = tmp_path / "robot.xml"
+    file.write_text(SMALL.format(drone, motor))
+    assert not check(str(file), only=["robot-holds"], explain=False).flags

@@ -137,11 +137,6 @@ def command_range(robot: Robot) -> Iterator[Fault]:
         if lost > MAX_OUTSIDE or reached < MIN_COMMANDS * (high - low):
             name = name_of(model, "joint", joint)
             text = f"commands of {name} are {first:.4g} to {last:.4g}, its range is {low:.4g} to {high:.4g}"
-            force = np.abs(model.actuator_forcerange[number]).max()
-            if force and np.isclose(
-                force, np.abs(model.actuator_ctrlrange[number]).max()
-            ):
-                text += ": a position servo with the range of a motor"
             yield Fault(
                 ("actuator", number),
                 name,
