@@ -12,8 +12,6 @@ EFFECTS = {
     "robot-holds": "its state diverges",
     "robot-torque": "its motors do not hold it",
     "robot-stands": "it falls or jumps",
-    "robot-drive": "its servos do not follow",
-    "robot-joint": "its joints are braked",
     "model-overlap": "bodies are crushed",
     "model-constraints": "joints leave their ranges",
     "model-slip": "it creeps where friction holds",
@@ -32,6 +30,7 @@ HARMLESS = (
     "stated-margin",
     "stated-solref",
     "imu-frame",
+    "friction-lever",
 )
 """Static rules that explain no motion at rest."""
 

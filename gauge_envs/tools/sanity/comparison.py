@@ -1,12 +1,4 @@
-"""Compare the models and the checks of two reports.
-
-Example:
-    >>> from gauge_envs.tools.sanity import check
-    >>> from gauge_envs.tools.sanity.comparison import difference
-    >>> reports = [check(target, only=["rest-height"]) for target in ("mujoco", "mujoco")]
-    >>> [check.is_changed for check in difference(*reports).checks]
-    [False]
-"""
+"""Compare the models and the checks of two reports."""
 
 import re
 from collections.abc import Iterator

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from operator import mul
 from typing import Any
@@ -12,7 +12,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from gauge_envs.backends.mujoco.contact_table import COLUMNS, can_move, contact_pairs
+from gauge_envs.backends.mujoco.contact_table import COLUMNS, contact_pairs
 from gauge_envs.backends.mujoco.options import overrides_contacts
 from gauge_envs.errors import UnknownNameError
 from gauge_envs.names import first_names
@@ -153,6 +153,9 @@ SHOWN = {
 }
 """Title of each value in the table of pairs that touch."""
 
+KILO, LARGER = 1000.0, {"um/s": ("mm/s", "m/s")}
+"""Larger units of values, each a thousand times as large."""
+
 HALVED = 0.5
 """Largest share of the worst deviation that a change may leave."""
 
@@ -181,21 +184,26 @@ def pair_parts(
     geoms = [geom_name(model, geom) for geom in range(model.ngeom)]
     pair = sorted_pair(geoms.index(names[0]), geoms.index(names[1]))
     forces_n = touching(robot).get(pair)
-    measured = _bench(robot, pair, forces_n)
-    values = measured.values()
+    measured, constants = _bench(robot, pair), _constants(robot, pair)
+    values, time_s = measured.values(), constants[COLUMNS["solref"]][0]
     load = f"pressed with {digits_text(measured.touch.load_n)} N" + (
         " in the run" if forces_n is not None else ", its weight"
     )
     texts = [
         f"{names[0]} and {names[1]}: friction {digits_text(measured.friction)} is in force, {_rule(robot, pair)}",
-        *_constants_texts(robot, pair),
+        f"condim {constants[0]:.0f}",
         f"{digits_text(measured.touch.mass_kg)} kg {load}",
     ]
+    if time_s > 0.0:
+        steps = digits_text(float(time_s / model.opt.timestep))
+        texts.insert(-1, f"time constant {steps} steps")
     rows = [
         (
             value.name,
             _value_text(value),
-            "" if value.law is None else f"{value.law:g} +- {value.width:g}",
+            ""
+            if value.law is None
+            else f"{value.law:g} +- {_text(value.width, value.unit)}",
         )
         for value in values
     ]
@@ -224,19 +232,14 @@ def touching_table(configuration: TrainingConfiguration) -> list[Part]:
             _rule(robot, pair),
         )
         groups.setdefault(key, []).append(pair)
-    rows = [
-        _touching_row(robot, pairs, forces_n[pairs[0]])
-        for pairs in [*groups.values()][:MAX_PAIRS]
-    ]
+    rows = [_touching_row(robot, pairs) for pairs in [*groups.values()][:MAX_PAIRS]]
     titles = "pairs that touch", "friction", *SHOWN.values()
     return [grid(titles, rows)] if rows else []
 
 
-def _touching_row(
-    robot: Robot, pairs: list[tuple[int, int]], forces_n: FloatArray
-) -> list[str]:
+def _touching_row(robot: Robot, pairs: list[tuple[int, int]]) -> list[str]:
     """Return the line of pairs with equal contacts, measured for the one with the largest load."""
-    measured = _bench(robot, pairs[0], forces_n)
+    measured = _bench(robot, pairs[0])
     texts = {value.name: _value_text(value) for value in measured.values()}
     sides = [
         first_names([geom_name(robot.model, geom) for geom in dict.fromkeys(side)], 4)
@@ -251,8 +254,8 @@ def sorted_pair(first: int, second: int) -> tuple[int, int]:
     return min(first, second), max(first, second)
 
 
-def _bench(robot: Robot, pair: tuple[int, int], forces_n: FloatArray | None) -> Bench:
-    return bench(robot, touch_of(robot, pair, forces_n), _constants(robot, pair))
+def _bench(robot: Robot, pair: tuple[int, int]) -> Bench:
+    return bench(robot, touch_of(robot, pair), _constants(robot, pair))
 
 
 def _constants(robot: Robot, pair: tuple[int, int]) -> FloatArray:
@@ -262,9 +265,15 @@ def _constants(robot: Robot, pair: tuple[int, int]) -> FloatArray:
 
 
 def _value_text(value: Value) -> str:
-    if math.isnan(value.value):
-        return "-"
-    return f"{digits_text(round(value.value, 6) + 0.0)} {value.unit}".rstrip()
+    return "-" if math.isnan(value.value) else _text(value.value, value.unit)
+
+
+def _text(number: float, unit: str) -> str:
+    number = round(number, 6) + 0.0
+    for larger in LARGER.get(unit, ()):
+        if abs(number) >= KILO:
+            number, unit = number / KILO, larger
+    return f"{digits_text(number)} {unit}".rstrip()
 
 
 # --- the contact -----------------------------------------------------------------------------------------------------
@@ -292,19 +301,6 @@ def _rule(robot: Robot, pair: tuple[int, int]) -> str:
     if model.geom_priority[first] != model.geom_priority[second]:
         return f"of the geom with the higher priority, of {values}"
     return f"the greater of {values}"
-
-
-def _constants_texts(robot: Robot, pair: tuple[int, int]) -> Iterator[str]:
-    """Yield condim, the time constant in steps unless stiffness and damping are given, and the ratio of masses."""
-    model, constants = robot.model, _constants(robot, pair)
-    yield f"condim {constants[0]:.0f}"
-    time_s = constants[COLUMNS["solref"]][0]
-    if time_s > 0.0:
-        yield f"time constant {digits_text(float(time_s / model.opt.timestep))} steps"
-    if can_move(model)[list(pair)].all():
-        roots = model.body_rootid[model.geom_bodyid[list(pair)]]
-        masses_kg = model.body_subtreemass[roots]
-        yield f"masses {digits_text(float(masses_kg.max() / masses_kg.min()))} to 1"
 
 
 def _stack_table(

@@ -27,8 +27,8 @@ from gauge_envs.tools.sanity.robot.robot import Robot, once
 from gauge_envs.tools.sanity.robot.standing import mesh_vertices_m
 from gauge_envs.tools.sanity.training import Settings
 
-SETTLE_S = 0.5
-"""Simulated time until a geom rests [s]."""
+SETTLE_S, CREEP_S = 0.5, 1.0
+"""Simulated time until a geom rests, and until the creep on a soft contact, which lifts it, is steady [s]."""
 
 FAST_M_PER_S, IMPACT_M_PER_S, PHASES = 4.0, 1.0, 4
 """Speed of the fast slide, speed of impacts along the normal [m/s], and number of their phases within a step."""
@@ -125,17 +125,22 @@ def touching(robot: Robot) -> dict[tuple[int, int], FloatArray]:
 
 
 def touch_of(
-    robot: Robot, pair: tuple[int, int], forces_n: FloatArray | None = None
+    robot: Robot,
+    pair: tuple[int, int],
+    forces_n: FloatArray | None = None,
 ) -> Touch:
-    """Return how two geoms touch; they are moved together along their shortest distance.
+    """Return how two geoms touch, at the end of the run or as it starts; they are moved together.
 
     Args:
         robot: The model.
         pair: The geoms.
-        forces_n: Normal and tangential force [N], shape [2]; None for the weight of the moving tree of bodies.
+        forces_n: Normal and tangential force in the first pose [N], shape [2]; None for those at the end of the run,
+            or for the weight of the moving tree of bodies where the geoms do not touch then.
     """
     model, data = robot.model, mujoco.MjData(robot.model)
     data.qpos[:] = robot.stance.qpos
+    if forces_n is None and (forces_n := touching(robot).get(pair)) is not None:
+        data.qpos[:] = rest(robot, is_refined=False).data.qpos
     mujoco.mj_forward(model, data)
     trees = model.body_rootid[model.geom_bodyid[list(pair)]]
     masses = np.where(
@@ -182,6 +187,8 @@ def _gap(
     ends = np.zeros(6)
     distance_m = mujoco.mj_geomDistance(model, data, fixed, moving, 1e3, ends)
     along = (ends[3:] - ends[:3]) * np.sign(distance_m)
+    if not along.any():
+        along = data.geom_xpos[moving] - data.geom_xpos[fixed]
     return along / max(float(np.linalg.norm(along)), 1e-12), float(distance_m)
 
 
@@ -294,11 +301,13 @@ class Bench:
         return float(under), float(own)
 
     def creep_um_per_s(self, share: float) -> float:
-        """Return the speed under a share of the limit of friction [um/s], in the second half of a run."""
+        """Return the speed under a share of the limit of friction [um/s], late in a run; NaN where the geoms part."""
         pressed = self._pressed_m_per_s2
         pushed = (share * self.friction * pressed, 0.0, -pressed)
-        along = self._run(SETTLE_S, pushed, -self._rest[0])[:, 1]
-        return 1e6 * float(along[len(along) // 2 :].mean())
+        _, along, _, lift = self._run(CREEP_S, pushed, -self._rest[0]).T
+        if lift[-1] < -HALF * pressed * CREEP_S:
+            return math.nan
+        return 1e6 * float(along[-len(along) // 4 :].mean())
 
     def _slide(self, angle_rad: float) -> float:
         """Return the friction of a slide in a direction, over the friction in force; NaN where the geoms part."""

@@ -17,14 +17,12 @@ def good_xml():
     return text.replace("</mujoco>", f"<actuator>{servos}</actuator>{home}</mujoco>")
 
 
-COUPLED = '<equality><joint joint1="FL_knee" joint2="FR_knee" polycoef="3 1 0 0 0"/></equality><keyframe>'
-
 INERTIAL = (
     '<inertial pos="0 0 0" mass="9.6" diaginertia="{0} {0} {0}"/><geom name="trunk"'
 )
 
 FAULTS = {
-    ("density", "lead has 12,000"): ('mass="7.84"', 'density="150000"'),
+    ("density", "densest metal"): ('mass="7.84"', 'density="150000"'),
     ("inertia", "trunk"): ('<geom name="trunk"', INERTIAL.format("9")),
     ("inertia", "times the inertia"): ('<geom name="trunk"', INERTIAL.format("1e-4")),
     ("start-overlap", "RL_foot and FL_foot"): (
@@ -44,14 +42,13 @@ FAULTS = {
         'kp="80" kv="2"',
         'kp="800" kv="400"',
     ),
-    ("robot-drive", "half of a small step"): ('kv="2"', 'kv="200"'),
+    ("robot-drive", "half of a small step"): ('kv="2"', 'kv="400"'),
     ("robot-drive", "swings"): (
         'damping="0.5" frictionloss="0.2"',
         "",
         'kv="2"',
         'kv="0"',
     ),
-    ("start-coupling", "off its coupling"): ("<keyframe>", COUPLED),
     ("robot-free", "in the air"): ("<freejoint/>", '<joint type="free"/>'),
     ("robot-feet", "FL_foot"): (
         'name="FL_foot"',

@@ -107,7 +107,7 @@ WRONG = {
     ),
     "hobby servo": (
         arm(joint='damping="1" armature="5"', end=MOTOR.format('kp="1000"')),
-        ("robot-joint", "no torque limit"),
+        ("robot-drive", "swings"),
     ),
     "no kp": (
         arm(end=MOTOR.format("")),

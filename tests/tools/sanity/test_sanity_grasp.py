@@ -14,18 +14,22 @@ BOX = "type='box' size='.005 .01 .02'"
 
 
 def hand(option="", geom="", pad="", motors="left right", tip=BOX, height_m=0.03):
-    """Return a gripper above a cube on a floor."""
+    """Return a gripper that holds a cube on a floor."""
     fingers = "".join(
-        f"<body name='{name}' pos='{place} 0 .1'><joint name='{name}' type='slide' axis='1 0 0'/>"
+        f"<body name='{name}' pos='{place} 0 .03'><joint name='{name}' type='slide' axis='1 0 0'/>"
         f"<geom name='{name}_pad' {tip} mass='.02' {pad}/></body>"
-        for name, place in (("left", -0.04), ("right", 0.04))
+        for name, place in (("left", -0.025), ("right", 0.025))
     )
-    driven = "".join(f"<motor joint='{name}'/>" for name in motors.split())
+    driven = "".join(
+        f"<motor joint='{name}' gear='{1 if name == 'left' else -1}'/>"
+        for name in motors.split()
+    )
+    key = f"<keyframe><key ctrl='{'1 ' * len(motors.split())}'/></keyframe>"
     return mujoco.MjModel.from_xml_string(
         f"<mujoco><option {option}/><default><geom {geom}/></default><worldbody>"
         f"<geom name='floor' type='plane' size='2 2 .1'/><body pos='0 0 {height_m}'><freejoint/>"
         f"<geom name='cube' type='box' size='.02 .02 .03' mass='.1'/></body>{fingers}</worldbody>"
-        f"<actuator>{driven}</actuator></mujoco>"
+        f"<actuator>{driven}</actuator>{key if motors else ''}</mujoco>"
     )
 
 

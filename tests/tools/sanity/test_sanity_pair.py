@@ -119,10 +119,10 @@ def judge(measured):
         run(0.5, (0.0, 0.0, -load), margin)[[0, -1], 2] @ [-1.0, 1.0] + margin
         for load in (press, 9.80665)
     )
-    crept = run(0.5, (0.9 * mu * press, 0.0, -press), rest)[:, 0]
-    half = len(crept) // 2
+    crept = run(1.0, (0.9 * mu * press, 0.0, -press), rest)[:, 0]
+    late = 3 * len(crept) // 4
     slid = run(0.5, (1.5 * mu * press, 0.0, -press), rest)
-    times = step * np.arange(len(slid))
+    half, times = len(slid) // 2, step * np.arange(len(slid))
     pull, _, lift = 2.0 * np.polyfit(times[half:], slid[half:], 2)[0]
     hopped = run(0.5, (0.0, 0.0, -9.80665), own, (4.0, 0.0, 0.0))[:, 2]
     drops = (
@@ -132,8 +132,8 @@ def judge(measured):
     bounced = np.mean([np.diff(drop[-2:, 2]) for drop in drops]) / step
     return {
         "creep at 0.9 of the limit": 1e6
-        * (crept[-1] - crept[half])
-        / (step * (len(crept) - 1 - half)),
+        * (crept[-1] - crept[late])
+        / (step * (len(crept) - 1 - late)),
         "slide at 0 degrees over Coulomb": (1.5 * mu * press - pull)
         / (mu * (press + lift)),
         "hop at 4 m/s": 1e3 * (hopped.max() - hopped[0]),

@@ -48,7 +48,7 @@ MISTAKES = [
         {"angle": ""},
         {"angle": "", "range": "-57 86"},
     ),
-    ("density", "lead has", {"mass": "50", "inertia": ".05 .45 .45"}, {}),
+    ("density", "densest metal", {"mass": "50", "inertia": ".05 .45 .45"}, {}),
     ("inertia", "8.06 times", {"inertia": ".01 .08 .08"}, {"inertia": ".002 .01 .01"}),
     (
         "inertia",
@@ -57,7 +57,7 @@ MISTAKES = [
         {"inertia": "5e-4 .006 .006"},
     ),
     ("command-range", "degrees", {"commands": "-57 86"}, {"commands": "-1.2 1.7"}),
-    ("command-range", "motor", {"commands": "-20 20"}, {"commands": "-.5 .5"}),
+    ("command-range", "-20 to 20", {"commands": "-20 20"}, {"commands": "-.5 .5"}),
     ("servo-gain", "kp 0.87", {"kp": ".87"}, {"kp": "20"}),
     (
         "stated-gear",
@@ -73,7 +73,7 @@ MISTAKES = [
     ),
     ("start-command", "commands elbow to 2", {"command": "2"}, {"command": "1.5"}),
     ("start-overlap", "20 mm", {"height": ".03"}, {"height": ".048"}),
-    ("start-tendon", "0 rad, outside", {"cord": ".4 .6"}, {"cord": "-.1 .1"}),
+    ("start-tendon", "0, outside", {"cord": ".4 .6"}, {"cord": "-.1 .1"}),
     (
         "names",
         "left_tip, on the other side",
@@ -101,7 +101,7 @@ MISTAKES = [
     ),
     (
         "stated-margin",
-        "10 mm above",
+        "10 mm ahead",
         {"box": 'margin=".01"'},
         {"box": 'gap=".01"'},
     ),
@@ -303,8 +303,9 @@ def test_a_leg_gets_the_value_of_the_others(name, tmp_path, gauge):
 
 
 ROLL = """<mujoco><worldbody><body name="{side}_ankle"><joint name="{name}_{last}" axis="1 0 0"/>
-  <joint name="{name}_{other}" axis="0 1 0"/><geom size=".1"/></body></worldbody></mujoco>"""
-"""Two joints of an ankle: a roll with a pitch or yaw, or one of the other side."""
+  <joint name="{name}_{other}" axis="0 1 0"/><geom size=".1"/></body>
+  <body name="right_ankle"><joint name="{name}_{mate}"/><geom size=".1"/></body></worldbody></mujoco>"""
+"""Two joints of an ankle, and one of the right ankle: a roll, or a part of the other side."""
 
 LIMBS = ("LEG_ANKLE", "arm_wrist", "J4", "hip_flex")
 
@@ -313,8 +314,10 @@ LIMBS = ("LEG_ANKLE", "arm_wrist", "J4", "hip_flex")
 def test_a_roll_beside_a_pitch_is_no_right_side(last, other, tmp_path):
     for name in LIMBS:
         words = {"name": name, "side": "left", "last": last}
-        assert not flags_of(ROLL.format(**words, other=other), tmp_path)
-        wrong = flags_of(ROLL.format(**words, other="2"), tmp_path)
+        right = ROLL.format(**words, other=other, mate="2")
+        assert "names" not in flags_of(right, tmp_path)
+        mate = "L" if last == "R" else "l"
+        wrong = flags_of(ROLL.format(**words, other="2", mate=mate), tmp_path)
         assert "on the other side" in wrong["names"]
 
 
@@ -347,7 +350,7 @@ def test_a_small_range_looks_like_radians_in_a_file_of_degrees_alone(span, tmp_p
         high = span * per_degree
         text = ARM.format(**{**arm, "range": f"{-0.2 * high} {high}"})
         is_flag = "range-unit" in flags_of(text, tmp_path)
-        assert is_flag is (unit == "degree" and span < 5.5)
+        assert is_flag is (unit == "degree" and span < 5.0)
 
 
 @pytest.mark.parametrize("length_m", [0.02, 0.04, 0.07, 0.1, 0.15])
@@ -362,3 +365,81 @@ def test_a_coupling_brakes_a_motion_without_damping(length_m, ratio, tmp_path):
         file.write_text(SMALL.format(bodies, coupling))
         report = check(str(file), only=["robot-energy"], explain=False)
         assert ("robot-energy" in report.flags) is not bool(coupling)
+
+
+FREE = """<body pos="0 0 1"><freejoint name="root"/><geom {} size=".05" density="{}"/><site name="hook"/>
+  <body pos=".1 0 0"><joint name="part" axis="0 1 0"/><geom size=".02" {}/></body></body>"""
+GHOST = 'contype="0" conaffinity="0"'
+
+
+@pytest.mark.parametrize(
+    ("held", "falls"),
+    [
+        ("", False),
+        ('<actuator><motor joint="part"/></actuator>', True),
+        ('<actuator><motor joint="root" gear="0 0 1 0 0 0"/></actuator>', False),
+        ('<actuator><motor site="hook" gear="0 0 1 0 0 0"/></actuator>', False),
+        (
+            '<tendon><spatial><site site="beam"/><site site="hook"/></spatial></tendon>',
+            False,
+        ),
+    ],
+)
+@pytest.mark.parametrize("density", [300, 1000, 3000, 8000])
+def test_what_a_rope_or_a_thruster_holds_does_not_fall(held, falls, density, tmp_path):
+    floor = '<geom type="plane" size="1 1 1"/><site name="beam" pos="0 0 2"/>'
+    body = FREE.format(GHOST, density, GHOST)
+    flags = flags_of(SMALL.format(floor + body, held), tmp_path)
+    solid = flags_of(SMALL.format(floor + FREE.format("", density, ""), held), tmp_path)
+    assert ("touch" in flags) is falls and "touch" not in solid
+
+
+@pytest.mark.parametrize("radius_m", [0.1, 0.2, 0.3, 0.4, 0.5])
+def test_a_rod_without_mass_carries_the_weight_that_is_welded_to_it(radius_m, tmp_path):
+    rod = '<body><joint/><geom type="capsule" size=".05 {0}" mass="1e-6"/>{1}</body>'
+    tip = f'<body pos="0 0 {radius_m}"><geom size=".05" mass="1"/></body>'
+    for weight, is_light in (("", True), (tip, False)):
+        assert (
+            density_of(tmp_path, SMALL.format(rod.format(radius_m, weight), "")).is_flag
+            is is_light
+        )
+
+
+CAR = """<geom type="plane" size="9 9 1"/><body pos="0 0 .05"><freejoint/>
+  <geom type="box" size=".2 .1 .02" mass="2" contype="0" conaffinity="0"/>
+  <geom size=".05" pos=".15 0 0" {}/><body pos="-.1 .1 0"><joint name="l" axis="0 1 0"/>
+  <geom type="cylinder" size=".05 .01" quat="1 1 0 0" {}/></body>
+  <body pos="-.1 -.1 0"><joint name="r" axis="0 1 0"/>
+  <geom type="cylinder" size=".05 .01" quat="1 1 0 0"/></body></body>"""
+WHEELS = '<actuator><motor joint="l"/><motor joint="r"/></actuator>'
+
+
+@pytest.mark.parametrize("friction", [0, 0.001, 0.01, 0.04])
+def test_a_caster_may_slip_and_a_wheel_not(friction, tmp_path):
+    slips = f'friction="{friction}" priority="1" condim="3"'
+    assert "robot-friction" not in flags_of(
+        SMALL.format(CAR.format(slips, ""), WHEELS), tmp_path
+    )
+    assert "robot-friction" in flags_of(
+        SMALL.format(CAR.format("", slips), WHEELS), tmp_path
+    )
+
+
+@pytest.mark.parametrize("angle", [90, -90, 180, 30])
+@pytest.mark.parametrize("axis", ["1 0 0", "0 1 0"])
+def test_a_plane_on_a_turned_body_is_the_ground(angle, axis, tmp_path):
+    """A body that stands for the ground turns by an angle, and its plane back by it."""
+    plane = '<body axisangle="{0} {1}"><geom type="plane" size="1 1 1" axisangle="{0} {2}"/></body>'
+    ball = '<body pos="0 0 1"><freejoint/><geom size=".1"/></body>'
+    file = tmp_path / "robot.xml"
+    file.write_text(SMALL.format(plane.format(axis, angle, -angle) + ball, ""))
+    assert not check(str(file), only=["gravity"], explain=False).flags
+
+
+@pytest.mark.parametrize("mass_kg", [0.001, 0.01, 0.03, 0.1])
+def test_a_motor_without_a_range_has_no_usual_command(mass_kg, tmp_path):
+    drone = f"""<body><freejoint name="root"/><geom size=".02" mass="{mass_kg}"/><site name="hub"/></body>"""
+    motor = '<actuator><motor site="hub" gear="0 0 0 0 0 1"/></actuator>'
+    file = tmp_path / "robot.xml"
+    file.write_text(SMALL.format(drone, motor))
+    assert not check(str(file), only=["robot-holds"], explain=False).flags

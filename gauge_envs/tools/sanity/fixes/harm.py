@@ -1,8 +1,7 @@
 """Find the harm of a change: hops of sliding cubes, rebound and friction of impacts, a model that jumps or falls.
 
 A soft contact damps the sliding speed like the normal speed. Where it stops a body within a step, friction mu lifts a
-body of speed v with mu v. The body then hops by mu^2 v^2 / (2 g): 54 mm at 4 m/s. At a step of 2 ms, a time constant of
-two steps hops by 51 to 71 mm, and MuJoCo's default of ten steps by 3 to 8 mm.
+body of speed v with mu v. The body then hops by mu^2 v^2 / (2 g): 54 mm at 4 m/s.
 """
 
 from __future__ import annotations

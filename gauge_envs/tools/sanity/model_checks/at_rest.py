@@ -8,11 +8,13 @@ import mujoco
 import numpy as np
 
 from gauge_envs.pages.text import digits_text
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.sanity.model_checks.check import Finding, leave_to, model_check
 from gauge_envs.tools.sanity.model_checks.free_motion import solver
 from gauge_envs.tools.sanity.model_checks.runs import LATE, ON_PLANE, Run, settled
 from gauge_envs.tools.sanity.robot.robot import (
     Robot,
+    geom_name,
     joints_of,
     name_of,
     reaches_m,
@@ -38,6 +40,15 @@ def body_size_m(model: mujoco.MjModel, body: int) -> float:
     return float(2.0 / np.sqrt(3.0) * max(body_radii_m, default=np.inf))
 
 
+SOFT_S, HARD = 0.02, 0.9
+"""Default time constant [s] and impedance of constraints."""
+
+
+def is_spring(solref: FloatArray, solimp: FloatArray) -> bool:
+    """Return whether constants may mean a spring: a longer time, a stiffness, or a smaller impedance."""
+    return bool(not 0.0 < solref[0] <= SOFT_S or min(solimp[:2]) < HARD)
+
+
 @model_check(
     "model-overlap",
     title="depth of a crushed body at rest, over its size",
@@ -48,16 +59,20 @@ def body_size_m(model: mujoco.MjModel, body: int) -> float:
     is_simulated=True,
 )
 def overlap(robot: Robot) -> Finding:
-    """Return the largest depth of contacts of bodies at rest."""
+    """Return the largest depth of contacts of bodies at rest, without contacts that are springs."""
     run, findings = settled(robot), []
     model, speeds = run.model, run.speeds_mm_per_s
     for contact in _contacts(run):
-        bodies = model.geom_bodyid[contact.geom].tolist()
-        small, large = sorted(bodies, key=lambda body: body_size_m(model, body))
+        geoms = sorted(
+            contact.geom.tolist(),
+            key=lambda geom: body_size_m(model, int(model.geom_bodyid[geom])),
+        )
+        small = int(model.geom_bodyid[geoms[0]])
         depth_m, size_m = -float(contact.dist), body_size_m(model, small)
-        if speeds[small] <= RESTING_MM_PER_S:
-            names = [name_of(robot.model, "body", body) for body in (small, large)]
-            place, share = ("body", small), depth_m / size_m
+        is_soft = is_spring(contact.solref, contact.solimp)
+        if speeds[small] <= RESTING_MM_PER_S and not is_soft:
+            names = [geom_name(robot.model, geom) for geom in geoms]
+            place, share = ("geom", geoms[0]), depth_m / size_m
             remark = f"{names[0]} sinks {1e3 * depth_m:.3g} mm into {names[1]}, {share:.0%} of its size"
             findings.append(Finding(value=share, place=place, remark=remark))
     return worst(findings)
@@ -149,30 +164,28 @@ PARTS = {
 }
 """Elements that equalities join and limits stop, by MuJoCo's name of their type."""
 
-SOFT_S, HARD = 0.02, 0.9
-"""Default time constant [s] and impedance of constraints.
 
-A longer time constant, a stiffness or a smaller impedance may mean a spring.
-"""
+MAX_OPENING, MIN_OPENING_M = 0.05, 0.001
+"""Opening over the size of a part that passes, and play of a common bearing [m], which passes too."""
 
 
 @model_check(
     "model-constraints",
     title="opening of a joined part or stop, over its size",
-    interval=(0.0, 0.05),
+    interval=(0.0, MAX_OPENING),
     source="bearings and stops of machines yield by less than 1 %; MuJoCo's limits by up to 0.02 rad under a robot",
     consequence="Joined parts come apart under load, as on a rubber band.",
     is_usual=True,
     is_simulated=True,
 )
 def constraints(robot: Robot) -> Finding:
-    """Return the largest residual of connections, welds, tendons, couplings without motors and limits at rest."""
+    """Return the largest residual of rigid connections, welds, tendons, couplings without motors and limits."""
     data, model, openings = settled(robot).data, robot.model, []
-    times_s = model.eq_solref[:, 0]
-    is_soft = (times_s <= 0.0) | (times_s > SOFT_S) | (model.eq_solimp[:, 1] < HARD)
     for kind, number in sorted(set(zip(data.efc_type, data.efc_id, strict=True))):
         is_limit, (noun, ends) = kind != EQUALITY, _part(model, kind, number)
-        if not noun:
+        if not noun or (
+            not is_limit and is_spring(model.eq_solref[number], model.eq_solimp[number])
+        ):
             continue
         rows = (data.efc_type == kind) & (data.efc_id == number)
         force, values = float(np.linalg.norm(data.efc_force[rows])), data.efc_pos[rows]
@@ -184,7 +197,6 @@ def constraints(robot: Robot) -> Finding:
                 value=ratio,
                 place=("equality", int(number)) if noun == "body" else (noun, ends[0]),
                 remark=remark,
-                is_usual=bool(not is_limit and is_soft[number]),
             )
         )
     return worst(openings)
@@ -220,17 +232,21 @@ def _opening(
     units, text = ("m", "N"), "off its range or coupling"
     if noun == "body":
         sizes_m = [body_size_m(model, body) for body in ends if body]
-        size, text = max(filter(np.isfinite, sizes_m), default=0.0), "apart"
+        size, text = (
+            max(filter(np.isfinite, sizes_m), default=model.stat.meansize),
+            "apart",
+        )
     elif noun == "tendon":
         size = model.tendon_length0[first]
     elif joints_of(model, "SLIDE")[first]:
         size = np.ptp(model.jnt_range[first])
     else:
         size, units = 1.0, ("rad", "N m")
+    size = max(size, MIN_OPENING_M / MAX_OPENING)
     names = " and ".join(name_of(robot.model, noun, end) for end in ends)
     verb = "are" if noun == "body" else "is"
     remark = f"{names} {verb} {residual:.3g} {units[0]} {text} under {digits_text(force)} {units[1]}"
-    return residual / float(size or model.stat.meansize), remark
+    return residual / float(size), remark
 
 
 STILL_MM_PER_S, RESTING_MM_PER_S = 1.0, 10.0

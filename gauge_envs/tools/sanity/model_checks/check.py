@@ -1,18 +1,4 @@
-"""Define a check of the target itself: its limits, source and texts stand above the function that measures it.
-
-Example:
-    ```python
-    @model_check(
-        "model-spin",
-        title="angular momentum that a free body loses in 2 s",
-        unit="1",
-        interval=(0.0, 0.02),
-        source="angular momentum of a free body is conserved",
-        consequence="What is thrown or falls stops turning in the air.",
-    )
-    def spin(robot: Robot) -> Finding: ...
-    ```
-"""
+"""Define a check of the target itself: its limits, source and texts stand above the function that measures it."""
 
 from __future__ import annotations
 
@@ -166,12 +152,12 @@ def model_check(
     Args:
         name: Id of the check.
         title: Phrase that names the quantity.
-        unit: Unit of the value; `1` for a pure number.
         interval: Limits of the value.
         source: Source of the limits.
         consequence: What a failure means for a policy, in one sentence.
-        is_usual: Whether the limits say what is usual: the verdict is then a warning at worst.
-        is_simulated: Whether it runs the model, so that settings of the engine can change it.
+        unit: Unit of the value; `1` for a pure number.
+        is_usual: As in `ModelCheck`.
+        is_simulated: As in `ModelCheck`.
     """
 
     def decorate(function: Callable[[Robot], Finding]) -> ModelCheck:

@@ -8,6 +8,7 @@ import numpy as np
 from gauge_envs.scene import GRAVITY_M_PER_S2
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.sanity.model_checks.check import Finding, leave_to, model_check
+from gauge_envs.tools.sanity.model_checks.drives import servos
 from gauge_envs.tools.sanity.model_checks.runs import (
     REST_S,
     STATE,
@@ -105,7 +106,7 @@ def spin(robot: Robot) -> Finding:
 
 
 SINE_S, SINE_SHARE, SINE_RAD = 1.0, 0.25, 0.2
-"""Period of sinusoidal commands [s]; their amplitude over the range of a command, and without a range [rad]."""
+"""Period of sinusoidal commands [s]; their amplitude over the range of a command, and of a servo without one [rad]."""
 
 
 @model_check(
@@ -123,7 +124,8 @@ def holds(robot: Robot) -> Finding:
     data = start_data(model)
     begin = data.ctrl.copy()
     spans = SINE_SHARE * np.ptp(model.actuator_ctrlrange, axis=1)
-    sizes = np.where(model.actuator_ctrllimited, spans, SINE_RAD)
+    # A motor without a range may have any force.
+    sizes = np.where(model.actuator_ctrllimited, spans, SINE_RAD * servos(model))
     while np.isinf(diverged_s) and data.time < seconds(model, SINE_S):
         # A state that diverges is reset, with its time.
         next_s = float(data.time + model.opt.timestep)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import mujoco
@@ -24,8 +24,8 @@ SHARE = 0.7
 MAX_CREEP_MM_PER_S = 1.4
 """Fastest creep that the published scores of this cube allow [mm/s]; see `object_checks.friction`."""
 
-ROUND = range(mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_BOX)
-"""Types of geoms that roll."""
+ROUND = [kind for kind in range(2, 8) if kind != mujoco.mjtGeom.mjGEOM_BOX]
+"""Types of geoms that roll, meshes among them."""
 
 MAX_PAIRS = 6
 """Largest number of pairs of geoms with different contacts that are measured."""
@@ -34,8 +34,6 @@ CREEP_SOURCE = (
     "Coulomb: v = 0 below the limit; published trials of a wooden cube, at 0.7 of its limit, allow 1.4 mm/s "
     "(paper, Table 5)"
 )
-
-Pair = tuple[int, int]
 
 
 @model_check(
@@ -49,10 +47,11 @@ Pair = tuple[int, int]
     is_simulated=True,
 )
 def foot_creep(robot: Robot) -> Finding:
-    """Return the fastest creep of a foot that carries its share of the robot's weight."""
+    """Return the fastest creep of a geom of a foot that carries its share of the robot's weight."""
     standing, model = standing_of(robot), robot.model
     weight_n = float(model.body_subtreemass[standing.body]) * GRAVITY_M_PER_S2
-    load_n = np.array([weight_n / len(standing.feet), 0.0])
+    count = sum(map(len, standing.feet.values()))
+    load_n = np.array([weight_n / count, 0.0])
     geoms, first = (
         robot.pairs.geoms[robot.foot_rows],
         model.body_jntadr[model.geom_bodyid],
@@ -62,7 +61,7 @@ def foot_creep(robot: Robot) -> Finding:
     wheels = np.isin(model.geom_type, ROUND) & (first >= 0)
     wheels &= away_m < 0.1 * model.geom_rbound
     rows = np.array(robot.foot_rows)[~wheels[geoms].any(axis=1)].tolist()
-    return _creep(robot, rows, lambda pair: load_n)
+    return _creep(robot, rows, load_n)
 
 
 @model_check(
@@ -76,23 +75,20 @@ def foot_creep(robot: Robot) -> Finding:
     is_simulated=True,
 )
 def grasp_creep(robot: Robot) -> Finding:
-    """Return the fastest creep of a driven part on a free body, with the load of the run, or the body's weight."""
-    rows = np.flatnonzero(grasping_pairs(robot.model, robot.pairs)).tolist()
+    """Return the fastest creep of a driven part on a free body that it touches in the run."""
+    held = touching(robot)
+    rows = [
+        row
+        for row in np.flatnonzero(grasping_pairs(robot.model, robot.pairs)).tolist()
+        if tuple(robot.pairs.geoms[row].tolist()) in held
+    ]
     if robot.standing is not None or not rows:
-        raise NotApplicableError("no arm of the model can grasp a free body")
-    model = robot.model
-
-    def load_n(pair: Pair) -> FloatArray:
-        trees = model.body_treeid[model.geom_bodyid[list(pair)]].tolist()
-        free = next(tree for tree in trees if tree not in robot.driven_trees)
-        weight_n = model.body_subtreemass[model.tree_bodyadr[free]] * GRAVITY_M_PER_S2
-        return touching(robot).get(pair, np.array([weight_n, 0.0]))
-
-    return _creep(robot, rows, load_n)
+        raise NotApplicableError("no arm of the model touches a free body in its run")
+    return _creep(robot, rows)
 
 
 def _creep(
-    robot: Robot, rows: Sequence[int], load_n: Callable[[Pair], FloatArray]
+    robot: Robot, rows: Sequence[int], forces_n: FloatArray | None = None
 ) -> Finding:
     """Return the pair that creeps fastest, of rows of `pairs` with friction and different contacts."""
     model, speeds, worst = robot.model, dict[str, float](), Finding(value=0.0)
@@ -105,12 +101,14 @@ def _creep(
             pairs.setdefault(key, row)
     for row in [*pairs.values()][:MAX_PAIRS]:
         first, second = robot.pairs.geoms[row].tolist()
-        touch = touch_of(robot, (first, second), load_n((first, second)))
+        touch = touch_of(robot, (first, second), forces_n)
         try:
             measured = bench(robot, touch, robot.pairs.constants[row])
         except TargetError:
             continue
         speed = 1e-3 * measured.creep_um_per_s(SHARE)
+        if np.isnan(speed):
+            continue
         name, on = (geom_name(model, geom) for geom in (touch.moving, touch.fixed))
         speeds[name] = max(speed, speeds.get(name, 0.0))
         if speed > worst.value:

@@ -1,11 +1,4 @@
-"""Define a rule: a check whose function yields the faulty elements of a model, most of them without a simulation.
-
-Example:
-    ```python
-    @rule("start-range", title="keyframe outside a joint's range", source="MuJoCo pushes a joint back into its range")
-    def start_range(robot: Robot) -> Iterator[Fault]: ...
-    ```
-"""
+"""Define a rule: a check whose function yields the faulty elements of a model, most of them without a simulation."""
 
 from __future__ import annotations
 
@@ -26,7 +19,6 @@ UNITS = {
     57.29578: "degrees",
     3282.806: "degrees on both sides of a gain",
     25.4: "inches",
-    1e6: "kilograms and square millimetres",
 }
 """Units that a ratio names."""
 

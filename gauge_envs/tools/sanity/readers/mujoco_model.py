@@ -110,9 +110,10 @@ def _up(model: mujoco.MjModel) -> Vector:
     planes = np.flatnonzero(
         (model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE) & ~can_move(model)
     )
-    normal = np.array([0.0, 0.0, 1.0])
+    normal, data = np.array([0.0, 0.0, 1.0]), mujoco.MjData(model)
     if len(planes):
-        mujoco.mju_rotVecQuat(normal, normal.copy(), model.geom_quat[planes[0]])
+        mujoco.mj_kinematics(model, data)
+        normal = data.geom_xmat[planes[0]].reshape(3, 3)[:, 2]
     nearest = np.abs(normal).argmax()
     return vector(np.eye(3)[nearest] * np.sign(normal[nearest]))
 

@@ -29,6 +29,8 @@ STANDING = ("home", "stand", "standing")
 BODY_JOINS = (int(mujoco.mjtEq.mjEQ_CONNECT), int(mujoco.mjtEq.mjEQ_WELD))
 """Types of equalities that join bodies."""
 
+WRAP_SITE = int(mujoco.mjtWrap.mjWRAP_SITE)
+
 ALONG_AN_AXIS = 0.999
 """Smallest component of the hinges of a robot that moves in a plane along an axis of the world."""
 
@@ -351,14 +353,19 @@ def reaches_m(robot: Robot) -> FloatArray:
 
 
 def unheld(model: mujoco.MjModel) -> list[int]:
-    """Return bodies with a free joint whose tree no weld or connection holds."""
+    """Return bodies with a free joint whose tree no weld, connection or tendon holds."""
     ends = np.hstack([model.eq_obj1id, model.eq_obj2id])
     of_sites = np.tile(model.eq_objtype == mujoco.mjtObj.mjOBJ_SITE, 2)
     is_joined = np.tile(np.isin(model.eq_type, BODY_JOINS), 2)
     bodies = np.where(
         of_sites, model.site_bodyid[ends * of_sites] if model.nsite else 0, ends
     )
-    held = model.body_treeid[bodies[is_joined & (ends >= 0)]]
+    held = model.body_treeid[bodies[is_joined & (ends >= 0)]].tolist()
+    for first, count in zip(model.tendon_adr, model.tendon_num, strict=True):
+        wraps = slice(first, first + count)
+        sites = model.wrap_objid[wraps][model.wrap_type[wraps] == WRAP_SITE]
+        joined = {*model.body_treeid[model.site_bodyid[sites]].tolist()}
+        held += joined if len(joined) > 1 else ()
     free = model.jnt_bodyid[joints_of(model, "FREE")]
     loose: list[int] = free[~np.isin(model.body_treeid[free], held)].tolist()
     return loose

@@ -21,7 +21,6 @@ STATIC_RULES = (
     consistent.start_command,
     consistent.start_overlap,
     consistent.start_tendon,
-    consistent.start_coupling,
     plausible.foot_friction,
     plausible.free_joint,
     plausible.imu_frame,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping
 from itertools import chain, product
 from typing import NamedTuple
@@ -11,7 +12,12 @@ import numpy as np
 
 from gauge_envs.scene.geometry import FloatArray, IntArray
 from gauge_envs.tools.sanity.model_checks.check import Change
-from gauge_envs.tools.sanity.model_checks.drives import drives, servos, start
+from gauge_envs.tools.sanity.model_checks.drives import (
+    drives,
+    largest_loads,
+    servos,
+    start,
+)
 from gauge_envs.tools.sanity.model_checks.rule import Fault, rule, unit_text
 from gauge_envs.tools.sanity.robot.robot import (
     Place,
@@ -28,12 +34,12 @@ from gauge_envs.tools.sanity.static_rules.sides import limb_of, mirrored, side_o
 
 # --- keyframes -------------------------------------------------------------------------------------------------------
 
-OUTSIDE = 0.02
-"""Share of a range by which a value may lie outside of it, because of rounding."""
+OUTSIDE = 0.05
+"""Share of a range by which a value may lie outside of it, as stops are soft."""
 
 
 def _beyond(value: float, limits: FloatArray) -> tuple[float, str]:
-    """Return how far a value is outside of a range, over its span, and the range as a text; 0 for rounding."""
+    """Return how far a value is outside of a range, over its span, and the range as a text; 0 within `OUTSIDE`."""
     low, high = limits.tolist()
     share = max(low - value, value - high) / max(high - low, 1e-9)
     return share * (share > OUTSIDE), f"{low:.4g} to {high:.4g}"
@@ -131,11 +137,6 @@ def command_range(robot: Robot) -> Iterator[Fault]:
         if lost > MAX_OUTSIDE or reached < MIN_COMMANDS * (high - low):
             name = name_of(model, "joint", joint)
             text = f"commands of {name} are {first:.4g} to {last:.4g}, its range is {low:.4g} to {high:.4g}"
-            force = np.abs(model.actuator_forcerange[number]).max()
-            if force and np.isclose(
-                force, np.abs(model.actuator_ctrlrange[number]).max()
-            ):
-                text += ": a position servo with the range of a motor"
             yield Fault(
                 ("actuator", number),
                 name,
@@ -146,8 +147,8 @@ def command_range(robot: Robot) -> Iterator[Fault]:
             )
 
 
-WEAK = 5.0
-"""Error at which a servo has its force limit, over the range of its joint; real servos need less than the range."""
+WEAK, MAX_MARGIN = 5.0, 100.0
+"""Error at which a servo has its limit, over the range of its joint; limit over the weight on it that no motor has."""
 
 
 @rule(
@@ -161,7 +162,8 @@ def servo_gain(robot: Robot) -> Iterator[Fault]:
     for drive in drives(robot):
         span = float(np.ptp(robot.model.jnt_range[drive.joint]))
         error = drive.limit / drive.kp if drive.kp else 0.0
-        is_weak = np.isfinite(error) and error > WEAK * max(span, 1.0)
+        is_motor = drive.limit < MAX_MARGIN * largest_loads(robot)[drive.dof]
+        is_weak = is_motor and error > WEAK * max(span, 1.0)
         if drive.is_hinge and span and is_weak:
             force, angle = drive.units
             most = f"{drive.kp * span:.2g} of its {drive.limit:.4g} {force}"
@@ -182,8 +184,15 @@ def names(robot: Robot) -> Iterator[Fault]:
     """Yield actuators with the name of another joint, and elements that belong to the other side."""
     model = robot.model
     joints = {model.joint(joint).name: joint for joint in range(model.njnt)}
-    known = {*model.names.decode().split("\0")}
-    for kind, number, owner_kind, owner in _references(model):
+    references = [*_references(model)]
+    owners = {(kind, number): owner for kind, number, _, owner in references}
+    mates = {
+        (kind, number): pair[1 - pair.index(number)]
+        for kind in {kind for kind, *_ in references}
+        for pair in mirrored(model, kind)
+        for number in pair
+    }
+    for kind, number, owner_kind, owner in references:
         name = getattr(model, kind)(number).name
         owner_name = getattr(model, owner_kind)(owner).name
         if kind == "actuator" and name and joints.get(name, owner) != owner:
@@ -191,9 +200,12 @@ def names(robot: Robot) -> Iterator[Fault]:
             yield Fault((kind, number), name, text, 2.0, True, ("joint", name))
             continue
         side, owner_side = side_of(name).side, side_of(owner_name).side
-        # The last letter is a roll where a pitch or yaw has the same name.
-        is_roll = not known.isdisjoint(name[:-1] + letter for letter in "PYpy")
-        if side and owner_side and side != owner_side and not is_roll:
+        # Without a mirror part, R may be a roll. A left hand may have a left and a right finger.
+        mate = owners.get((kind, mates.get((kind, number), -1)))
+        is_other = mate not in (None, owner)
+        if kind in ("actuator", "sensor"):
+            is_other = mate is not None or bool(re.search("left|right", name, re.I))
+        if side and owner_side and side != owner_side and is_other:
             text = (
                 f"{kind} {name} belongs to {owner_kind} {owner_name}, on the other side"
             )
@@ -245,7 +257,6 @@ class Trait(NamedTuple):
 TRAITS = (
     Trait("body", "mass [kg]", "mass", change="mass"),
     Trait("body", "inertia [kg m^2]", "inertia", 2.0),
-    Trait("body", "distance from its parent [m]", "pos", 2.0),
     Trait("joint", "type", "type", 1.1),
     Trait("joint", "range", "range", 1.25, "range"),
     Trait("joint", "damping", "damping", change="damping"),
@@ -261,7 +272,6 @@ TRAITS = (
     Trait("geom", "friction", "friction", change="friction"),
     Trait("geom", "condim", "condim", 1.1, "condim"),
     Trait("geom", "collision", "contype"),
-    Trait("geom", "size [m]", "rbound", 2.0),
 )
 
 
@@ -288,14 +298,18 @@ def _size(model: mujoco.MjModel, trait: Trait, number: int) -> float:
     consequence="The robot walks in a circle.",
 )
 def mirror(robot: Robot) -> Iterator[Fault]:
-    """Yield parts whose numbers differ from those of the part on the other side."""
+    """Yield parts of the robot whose numbers differ from those of the part on the other side."""
     model = robot.model
+    owners = {"joint": model.jnt_bodyid, "geom": model.geom_bodyid}
+    owners["body"] = np.arange(model.nbody)
     for trait in TRAITS:
-        pairs = mirrored(model, trait.kind)
+        pairs, owner = mirrored(model, trait.kind), owners.get(trait.kind)
         values = {n: _size(model, trait, n) for n in chain(*pairs)}
         for pair in pairs:
             low, high = sorted(values[n] for n in pair)
-            if high <= trait.ratio * low:
+            # Walls, cameras and objects are no mirror parts of a robot.
+            is_part = owner is None or np.isin(owner[[*pair]], robot.bodies).all()
+            if high <= trait.ratio * low or not is_part:
                 continue
             texts = [f"{name_of(model, trait.kind, n)} {values[n]:.4g}" for n in pair]
             ratio = high / max(low, 1e-12)
@@ -327,6 +341,10 @@ def _like_mirror(
     return pair[0], None
 
 
+SIDEWAYS = 0.9
+"""Cosine from which on the line between mirror joints is along an axis of the world, and a joint is a roll."""
+
+
 @rule(
     "mirror-axis",
     title="left and right joint that turn differently",
@@ -337,6 +355,7 @@ def mirror_axis(robot: Robot) -> Iterator[Fault]:
     """Yield hinges that are neither a copy nor the mirror image of the one on the other side."""
     model, data = robot.model, mujoco.MjData(robot.model)
     mujoco.mj_kinematics(model, data)
+    mujoco.mj_comPos(model, data)
     limited = joints_of(model, "HINGE") & (model.jnt_limited != 0)
     for left, right in mirrored(model, "joint"):
         if not limited[[left, right]].all():
@@ -346,11 +365,16 @@ def mirror_axis(robot: Robot) -> Iterator[Fault]:
         # The axis of a turn is a pseudovector: a mirror keeps its component along the normal, and turns the others.
         normal = data.xanchor[left] - data.xanchor[right]
         normal /= max(float(np.linalg.norm(normal)), 1e-9)
+        # Limbs whose first pose is no mirror image, and rolls about a limb, may have any zero.
+        roots = model.jnt_bodyid[[left, right]]
+        arm, other = data.subtree_com[roots] - data.xanchor[[left, right]]
+        apart = arm - 2.0 * (arm @ normal) * normal - other
+        most = np.linalg.norm(arm) * np.array([SIDEWAYS, 1.0 - SIDEWAYS])
+        is_unknown = np.abs(normal).max() < SIDEWAYS
+        is_unknown |= abs(arm @ data.xaxis[left]) > most[0]
+        is_unknown |= float(np.linalg.norm(apart)) > most[1]
         image = 2.0 * (data.xaxis[left] @ normal) * normal - data.xaxis[left]
-        if (
-            _same_turns(model, image, data.xaxis[right], left, right)
-            or not normal.any()
-        ):
+        if _same_turns(model, image, data.xaxis[right], left, right) or is_unknown:
             continue
         first, second = name_of(model, "joint", left), name_of(model, "joint", right)
         axes = [
@@ -389,8 +413,9 @@ def start_overlap(robot: Robot) -> Iterator[Fault]:
     """Yield pairs of bodies, objects and the ground included, that overlap in the first pose."""
     model, depths_m = robot.model, _overlaps_m(robot.model, start(robot))
     trees = model.body_treeid[model.geom_bodyid]
-    count = POSES if depths_m else 0
-    poses = [_overlaps_m(model, data) for data in random_poses(model, count)]
+    poses = [
+        _overlaps_m(model, data) for data in random_poses(model, POSES * bool(depths_m))
+    ]
     usual = {
         pair for pair in depths_m if 2 * sum(map(pair.__eq__, chain(*poses))) >= POSES
     }
@@ -453,7 +478,7 @@ def _overlaps_m(
 
 @rule(
     "start-tendon",
-    title="tendons and couplings outside of their range at the start",
+    title="tendons outside of their range at the start",
     source="lengths of the model in its first pose",
     consequence="Episodes begin with a jump.",
 )
@@ -465,38 +490,10 @@ def start_tendon(robot: Robot) -> Iterator[Fault]:
         share, limits = _beyond(length, model.tendon_range[tendon])
         if share:
             name = name_of(model, "tendon", tendon)
-            first, unit = model.tendon_adr[tendon], "m"
-            if model.wrap_type[first] == mujoco.mjtWrap.mjWRAP_JOINT:
-                is_hinge = joints_of(model, "HINGE")[model.wrap_objid[first]]
-                unit = "rad" if is_hinge else "m"
-            text = f"tendon {name} starts at {length:.4g} {unit}, outside of its range {limits}"
+            text = (
+                f"tendon {name} starts at {length:.4g}, outside of its range {limits}"
+            )
             yield Fault(("tendon", tendon), name, text, share)
-
-
-@rule(
-    "start-coupling",
-    title="couplings that the start does not meet",
-    source="an equality of joints is a polynomial of the second one",
-    consequence="Episodes begin with a jump.",
-)
-def start_coupling(robot: Robot) -> Iterator[Fault]:
-    """Yield joints whose first position is off that of their coupling, by a share of their range."""
-    model, begin = robot.model, start(robot).qpos
-    is_coupling = (model.eq_type == mujoco.mjtEq.mjEQ_JOINT) & (model.eq_active0 != 0)
-    for number in np.flatnonzero(is_coupling & (model.eq_obj2id >= 0)).tolist():
-        joint, other = int(model.eq_obj1id[number]), int(model.eq_obj2id[number])
-        place, leader = model.jnt_qposadr[[joint, other]]
-        lead = begin[leader] - model.qpos0[leader]
-        coupled = np.polyval(model.eq_data[number, 4::-1], lead) + model.qpos0[place]
-        off, span = abs(coupled - begin[place]), np.ptp(model.jnt_range[joint]) or 1.0
-        if off > MAX_OFF * span:
-            name = name_of(model, "joint", joint)
-            text = f"{name} starts {off:.2g} off its coupling; its range is {span:.4g}"
-            yield Fault(("equality", number), name, text, float(off / span))
-
-
-MAX_OFF = 0.1
-"""Distance of a joint from its coupling at the start, over its range."""
 
 
 @rule(
@@ -506,7 +503,7 @@ MAX_OFF = 0.1
     consequence="They fall through the floor.",
 )
 def touch(robot: Robot) -> Iterator[Fault]:
-    """Yield free trees of bodies that no pair of geoms stops, though the model has a floor."""
+    """Yield free trees of bodies without thrusters that no pair of geoms stops, though the model has a floor."""
     model, pairs = robot.model, robot.pairs
     solid = (model.geom_contype | model.geom_conaffinity) != 0
     fixed = model.body_weldid[model.geom_bodyid] == 0
@@ -515,14 +512,14 @@ def touch(robot: Robot) -> Iterator[Fault]:
     ends = model.body_treeid[model.geom_bodyid[pairs.geoms]]
     # Parts of a robot that touch each other do not stop it.
     stopped = np.unique(ends[ends[:, 0] != ends[:, 1]])
-    moved = robot.driven_trees
+    lifted = model.jnt_bodyid[model.dof_jntid[robot.driven_dofs]]
     for body in unheld(model):
         tree = model.body_treeid[body]
         is_marker = (
-            tree not in moved
+            tree not in robot.driven_trees
             and not solid[model.body_treeid[model.geom_bodyid] == tree].any()
         )
-        if is_marker or tree in stopped or model.body_gravcomp[body]:
+        if is_marker or tree in stopped or body in lifted or model.body_gravcomp[body]:
             continue
         name = name_of(model, "body", body)
         text = f"{name} is free and none of its geoms can touch another body: it falls through the floor"

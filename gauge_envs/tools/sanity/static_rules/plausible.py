@@ -13,6 +13,7 @@ from gauge_envs.tools.sanity.model_checks.drives import drives, start
 from gauge_envs.tools.sanity.model_checks.rule import Fault, rule
 from gauge_envs.tools.sanity.robot.robot import (
     Robot,
+    chain_of,
     geom_name,
     joints_of,
     name_of,
@@ -28,11 +29,11 @@ from gauge_envs.tools.sanity.static_rules.shapes import (
 
 # --- masses ----------------------------------------------------------------------------------------------------------
 
-LEAD_KG_PER_M3, POINT_KG_PER_M3 = 12_000.0, 100_000.0
-"""Density of lead, which no link of a robot exceeds, and of an object that stands for no point mass [kg/m^3]."""
+OSMIUM_KG_PER_M3, POINT_KG_PER_M3 = 22_600.0, 100_000.0
+"""Density of the densest metal, and of an object that stands for no point mass [kg/m^3]."""
 
-LIGHT_KG_PER_M3 = (3.0, 30.0)
-"""Densities of aerogel and of a foam [kg/m^3]: a link is too light below a hundredth of the median between them."""
+LIGHT_KG_PER_M3 = 3.0
+"""Density of aerogel [kg/m^3]."""
 
 MIN_SHARE = 1e-3
 """Share of the robot's mass below which nothing depends on a link."""
@@ -41,35 +42,30 @@ MIN_SHARE = 1e-3
 @rule(
     "density",
     title="mass of a link over its own shapes",
-    source="lead has 12,000 kg/m^3, aerogel 3, foam 30; the box around all shapes of the link",
+    source="the densest metal has 22,600 kg/m^3, aerogel 3; the box around all shapes of the link",
     consequence="The policy learns forces of another robot.",
 )
 def density(robot: Robot) -> Iterator[Fault]:
-    """Yield bodies that are denser than lead in the box around their shapes, or far lighter than the others."""
+    """Yield bodies that are denser than any metal in the box around their shapes, or lighter than aerogel."""
     model, shapes = robot.model, body_shapes(robot)
-    lights = {
-        body: model.body_mass[body] / max(shape.volume_m3, 1e-12)
-        for body, shape in shapes.items()
-    }
-    least = float(
-        np.clip(np.median([*lights.values()] or [0.0]) / 100.0, *LIGHT_KG_PER_M3)
-    )
+    # A rod without mass may carry a weight that is welded to it.
+    links_kg = np.bincount(model.body_weldid, model.body_mass, model.nbody)
     for body, shape in shapes.items():
         mass_kg, name = model.body_mass[body], name_of(model, "body", body)
         least_kg = MIN_SHARE * model.body_subtreemass[model.body_rootid[body]]
-        dense, light = mass_kg / max(shape.box_m3, 1e-12), lights[body]
+        dense = mass_kg / max(shape.box_m3, 1e-12)
+        light = links_kg[model.body_weldid[body]] / max(shape.volume_m3, 1e-12)
         is_object = int(model.body_treeid[body]) not in robot.driven_trees
-        limit = POINT_KG_PER_M3 if is_object else LEAD_KG_PER_M3
+        limit = POINT_KG_PER_M3 if is_object else OSMIUM_KG_PER_M3
         if dense > limit and mass_kg > least_kg:
-            text = f"{name} weighs {mass_kg:.3g} kg: {dense:,.0f} kg/m^3 in the box around it; lead has 12,000"
+            text = f"{name} weighs {mass_kg:.3g} kg: {dense:,.0f} kg/m^3 around it; the densest metal has 22,600"
             yield Fault(("body", body), name, text, dense / limit)
-        is_marker = (
-            is_object and not solid_geoms(model)[model.geom_bodyid == body].any()
-        )
-        is_light = 0.0 < light < least and model.body_gravcomp[body] <= 1.0
+        own = model.geom_bodyid == body
+        is_marker = is_object and not solid_geoms(model)[own].any()
+        is_light = 0.0 < light < LIGHT_KG_PER_M3 and model.body_gravcomp[body] <= 1.0
         if is_light and model.body_dofnum[body] and not is_marker:
-            text = f"{name} weighs {mass_kg:.3g} kg: {light:.2g} kg/m^3; foam has 30"
-            yield Fault(("body", body), name, text, least / light)
+            text = f"{name} weighs {mass_kg:.3g} kg: {light:.2g} kg/m^3; aerogel has 3"
+            yield Fault(("body", body), name, text, 1.0 / light)
 
 
 MAX_GYRATION, MIN_GYRATION = 1.0, 1.0 / 5.0
@@ -93,7 +89,9 @@ def inertia(robot: Robot) -> Iterator[Fault]:
         square = 0.5 * model.body_inertia[body].sum() / max(mass_kg, 1e-12)
         most = shape.farthest_m(model.body_ipos[body]) ** 2
         ratio = square / max(shape.square_m2, 1e-12)
-        if square > MAX_GYRATION * most or ratio < MIN_GYRATION:
+        # What is welded to a link turns with its distance.
+        is_small = ratio < MIN_GYRATION and model.body_dofnum[body] > 0
+        if square > MAX_GYRATION * most or is_small:
             text = f"{name} of {mass_kg:.3g} kg has {digits_text(ratio)} times the inertia of its own shapes"
             yield Fault(
                 ("body", body),
@@ -103,7 +101,7 @@ def inertia(robot: Robot) -> Iterator[Fault]:
             )
 
 
-MAX_AWAY = 2.0
+MAX_AWAY = 10.0
 """Distance of a centre of mass from the box around the link over its diagonal: drawn parts may be missing."""
 
 
@@ -157,7 +155,7 @@ def mesh_mass(robot: Robot) -> Iterator[Fault]:
 
 # --- joints ----------------------------------------------------------------------------------------------------------
 
-MAX_TURNS, MIN_RANGE_RAD, ENDLESS_RAD = 4.0, 0.12, 1e4
+MAX_TURNS, MIN_RANGE_RAD, ENDLESS = 4.0, 0.12, 1600.0
 """Largest range of a hinge in turns, the smallest (2 pi in degrees that are read twice is 0.11), and no stop at all."""
 
 
@@ -177,12 +175,18 @@ def range_unit(robot: Robot) -> Iterator[Fault]:
         low, high = model.jnt_range[joint]
         name, span = name_of(model, "joint", joint), high - low
         turns = span / (2.0 * np.pi)
-        if turns > MAX_TURNS and span < ENDLESS_RAD and not in_degrees:
+        halves = np.array([low, high]) / np.pi
+        is_turns = np.allclose(halves, np.rint(halves), atol=1e-3)
+        if MAX_TURNS < turns < ENDLESS and not (in_degrees or is_turns):
             text = f"{name} can turn {digits_text(turns)} times round: range {low:.4g} to {high:.4g} "
             text += "looks like degrees in a file of radians"
             right = "range", np.deg2rad([low, high])
         elif span < MIN_RANGE_RAD and joint in driven and in_degrees:
             low, high = np.rad2deg([low, high])
+            if max(-low, high) > 1.5 * np.pi and np.allclose(
+                [low, high], np.rint([low, high])
+            ):
+                continue
             text = f"{name} can turn by {np.rad2deg(span):.3g} degrees: range {low:.4g} to {high:.4g} "
             text += "looks like radians in a file of degrees"
             right, span = ("range", np.rad2deg([low, high])), 1.0 / max(span, 1e-9)
@@ -233,6 +237,7 @@ LOW_FRICTION, HIGH_FRICTION = 0.05, 3.0
 )
 def foot_friction(robot: Robot) -> Iterator[Fault]:
     """Yield feet whose friction on the ground is outside of the limits."""
+    driven = {drive.body for drive in drives(robot)}
     for row in robot.foot_rows:
         condim, friction = robot.pairs.constants[row, :2].tolist()
         met, ends = friction * (condim > 1), robot.pairs.geoms[row].tolist()
@@ -240,7 +245,11 @@ def foot_friction(robot: Robot) -> Iterator[Fault]:
         ground, foot = sorted(
             ends, key=lambda geom: int(robot.model.geom_bodyid[geom]) in robot.bodies
         )
-        if not LOW_FRICTION <= met <= HIGH_FRICTION:
+        # A ball without friction is a caster, which no motor moves.
+        is_moved = not driven.isdisjoint(
+            chain_of(robot.model, int(robot.model.geom_bodyid[foot]))
+        )
+        if (is_moved and met < LOW_FRICTION) or met > HIGH_FRICTION:
             name = geom_name(robot.model, foot)
             text = f"{name} has friction {met:g} on {geom_name(robot.model, ground)}"
             text += ", by condim 1" if condim == 1 else ""

@@ -73,7 +73,7 @@ class BodyShape:
     Attributes:
         low_m: Smallest coordinates of the shapes in the frame of the body [m], shape [3].
         high_m: Largest coordinates [m], shape [3].
-        volume_m3: Largest volume of its colliding, drawn, or all shapes [m^3].
+        volume_m3: Smallest volume of its colliding or drawn shapes without meshes, which may be hollow [m^3].
         square_m2: Smallest squared radius of gyration of its colliding or drawn shapes with an even density [m^2].
     """
 
@@ -104,6 +104,7 @@ def body_shapes(robot: Robot) -> dict[int, BodyShape]:
     )
     volumes, squares = volumes_and_squares(model)
     solid = solid_geoms(model)
+    solids = np.where(model.geom_type == TYPES.mjGEOM_MESH, 0.0, volumes)
     is_solid_shape = model.geom_type >= int(TYPES.mjGEOM_SPHERE)
     for body in np.flatnonzero(model.body_treeid >= 0).tolist():
         of_body = (model.geom_bodyid == body) & is_solid_shape
@@ -122,7 +123,7 @@ def body_shapes(robot: Robot) -> dict[int, BodyShape]:
         shapes[body] = BodyShape(
             low_m=(centres - halves)[every].min(axis=0),
             high_m=(centres + halves)[every].max(axis=0),
-            volume_m3=max(float(volumes[group].sum()) for group in groups),
+            volume_m3=min(float(solids[group].sum()) for group in groups),
             square_m2=min(
                 _square(volumes[group], squares[group], centres[group])
                 for group in groups
