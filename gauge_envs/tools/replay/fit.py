@@ -90,7 +90,7 @@ class Thresholds:
     max_refined: int = 10
     max_worse: float = 4.0
     max_polished: int = 3
-    max_bases: int = 3
+    max_bases: int = 2
     min_hope: float = 0.5
     min_second: float = 0.02
     max_predictions: int = 20
