@@ -56,7 +56,8 @@ class Thresholds:
         min_hope: Share below which a fit is not judged by longer pieces, and no further base is tried for pairs.
         min_second: Relative decrease of the error that a cause must bring alone to be fitted as a second one.
         max_predictions: Largest number of predictions of one least-squares fit.
-        max_steps: Number of physics steps that the noise of a problem may cost: above, its pieces are shorter.
+        max_steps: Number of physics steps that the noise of long pieces may cost; that of the pieces that give values
+            may cost twice as many. Above, the pieces are shorter.
         min_gain: Relative decrease of the training error below which least squares ends.
         min_step: Relative step of the numbers below which least squares ends.
         slope_step: Step of finite differences. Contacts make the residuals rough, and smaller steps measure that
@@ -94,7 +95,7 @@ class Thresholds:
     min_hope: float = 0.5
     min_second: float = 0.02
     max_predictions: int = 20
-    max_steps: int = 150_000
+    max_steps: int = 130_000
     min_gain: float = 0.002
     min_step: float = 1e-3
     slope_step: float = 0.1
@@ -302,7 +303,7 @@ class Problem:
     def for_values(self, fit: Fit) -> Problem:
         """Return the problem whose pieces give the values of a fit; no longer than those that judge it."""
         count = THRESHOLDS.value_count
-        length_s = min(THRESHOLDS.value_s, self.max_total_s() / count)
+        length_s = min(THRESHOLDS.value_s, 2.0 * self.max_total_s() / count)
         return Problem(
             self.replayer,
             self.setup,
