@@ -1,6 +1,6 @@
-"""Plant causes, pairs of causes and mistakes of logs, and count what `gauge replay` names first.
+"""Plant causes, pairs of causes and what no cause is, and count what `gauge replay` names first.
 
-Usage: `python studies/replay/planted.py {singles,pairs,mistakes,outside} FIRST LAST [ROBOT...]`, with seeds FIRST to
+Usage: `python studies/replay/planted.py {singles,pairs,outside,twins} FIRST LAST [ROBOT...]`, with seeds FIRST to
 LAST - 1. Robots are MJCF files, which get a servo at each joint; without any, chains of one to three links are drawn.
 """
 
@@ -17,7 +17,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from gauge_envs.tools.replay import replay
+from gauge_envs.tools.replay import ReplayVerdict, replay
 
 INTERVAL_S = 0.02
 DURATION_S = 12.0
@@ -36,7 +36,7 @@ class Robot:
         delay_s: Delay of the commands.
         scale, offset, order: Change of the commands.
         every: Only each so-manieth command is taken.
-        push: Torque that no cause has, by time.
+        disturb: Changes the commands, the forces or the model at each physics step, as no cause does.
     """
 
     model: Model
@@ -45,7 +45,7 @@ class Robot:
     offset: float = 0.0
     order: tuple[int, ...] = ()
     every: int = 1
-    push: Callable[[float], float] = lambda _: 0.0
+    disturb: Callable[[mujoco.MjData], None] = lambda _: None
 
 
 def chain(rng: np.random.Generator) -> mujoco.MjSpec:
@@ -137,18 +137,130 @@ def plant(  # noqa: C901
         raise ValueError(name)
 
 
-def with_cause(name: str, robot: Robot, rng: np.random.Generator) -> Robot:
-    """Return a robot with a cause that changes its motion by far more than the noise."""
-    for _ in range(20):
+def with_cause(
+    name: str,
+    robot: Robot,
+    rng: np.random.Generator,
+    least: float = MIN_CHANGE,
+    most: float = np.inf,
+) -> tuple[Robot, float]:
+    """Return a robot with a cause, or with what is none, and the change of its motion [rad]."""
+    put = disturb if name in OUTSIDE else plant
+    for _ in range(60):
         changed = copy.deepcopy(robot)
-        plant(name, changed, int(rng.integers(robot.model.nu)), rng)
+        put(name, changed, int(rng.integers(robot.model.nu)), rng)
         seed = rng.integers(1000)
         logs = [
             record(each, np.random.default_rng(seed))["q"] for each in (robot, changed)
         ]
-        if np.std(logs[1] - logs[0], axis=0).max() > MIN_CHANGE:
-            return changed
-    raise ValueError(f"{name} changes nothing")
+        change = np.std(logs[1] - logs[0], axis=0).max()
+        if least < change < most:
+            return changed, change
+    raise ValueError(f"{name} changes too little or too much")
+
+
+OUTSIDE = {
+    "backlash": ("dry friction",),
+    "cable spring": ("joint limit",),
+    "hysteresis": ("dry friction",),
+    "gain drift": ("kp",),
+    "swinging payload": ("payload", "mass or centre of a link"),
+    "loose base": ("gravity or tilt",),
+    "cogging": ("dry friction",),
+    "gear eccentricity": ("action offset",),
+    "Stribeck": ("dry friction",),
+    "motor lag": ("delay",),
+    "voltage limit": ("effort limit",),
+    "quantised command": ("action scale",),
+    "quadratic drag": ("damping", "kd"),
+    "one-sided friction": ("dry friction", "action offset"),
+    "dead motor": ("effort limit",),
+    "hardening spring": ("kp",),
+    "link length": ("mass or centre of a link", "payload"),
+    "periodic push": ("action offset",),
+    "jittery delay": ("delay",),
+    "square push": ("step and decimation",),
+}
+"""What no cause of the list is, and the causes that resemble it; friction of one side is half friction, half offset."""
+
+
+def disturb(  # noqa: C901
+    name: str, robot: Robot, joint: int, rng: np.random.Generator
+) -> None:
+    """Change a robot by what no cause of the list is."""
+    model, size, rate = robot.model, rng.uniform(0.5, 2.0), rng.uniform(5.0, 25.0)
+    kp, kd = model.actuator_gainprm[joint, 0], -model.actuator_biasprm[joint, 2]
+    torque, spring, start = 0.08 * kp * size, 0.4 * kp * size, rng.uniform(-0.2, 0.2)
+    memory: dict[str, float] = {}
+    gains = model.actuator_gainprm.copy(), model.actuator_biasprm.copy()
+    end_s, limit = rng.uniform(4.0, 8.0), 0.4 * kp * rng.uniform(0.3, 1.0)
+
+    def hysteresis(q: float, v: float, data: mujoco.MjData) -> float:
+        force = memory["force"] + 4.0 * kp * v * model.opt.timestep
+        memory["force"] = float(np.clip(force, -torque, torque))
+        return -memory["force"]
+
+    def voltage(q: float, v: float, data: mujoco.MjData) -> float:
+        bound, force = limit * max(0.0, 1.0 - abs(v) / 3.0), data.actuator_force[joint]
+        return float(np.clip(force, -bound, bound) - force)
+
+    forces = {
+        "backlash": lambda q, v, data: (
+            kp * np.clip(q - data.ctrl[joint], -0.03 * size, 0.03 * size)
+        ),
+        "cable spring": lambda q, v, data: -spring * max(q - start, 0.0),
+        "hysteresis": hysteresis,
+        "cogging": lambda q, v, data: torque * np.sin(rate * q),
+        "gear eccentricity": lambda q, v, data: torque * np.sin(2.0 * q + start),
+        "Stribeck": lambda q, v, data: (
+            -torque * np.tanh(v / 0.02) * np.exp(-((v / 0.3) ** 2))
+        ),
+        "voltage limit": voltage,
+        "quadratic drag": lambda q, v, data: -0.5 * size * kd * v * abs(v),
+        "one-sided friction": lambda q, v, data: -torque * np.tanh(max(v, 0.0) / 0.02),
+        "dead motor": lambda q, v, data: (
+            -data.actuator_force[joint] * (data.time > end_s)
+        ),
+        "hardening spring": lambda q, v, data: -10.0 * spring * q**3,
+        "periodic push": lambda q, v, data: torque * np.sin(rate * data.time),
+        "square push": lambda q, v, data: torque * np.sign(np.sin(rate * data.time)),
+    }
+
+    def change(data: mujoco.MjData) -> None:
+        if not data.time:
+            memory.update(force=0.0, command=0.0, angle=0.0, speed=0.0, last=0.0)
+        if name in forces:
+            force = forces[name](data.qpos[joint], data.qvel[joint], data)
+            data.qfrc_applied[joint] = force
+        elif name == "gain drift":
+            warm = 1.0 - 0.25 * size * data.time / DURATION_S
+            model.actuator_gainprm[:], model.actuator_biasprm[:] = (
+                warm * each for each in gains
+            )
+        elif name == "loose base":
+            model.opt.gravity[0] = 2.0 * size * np.sin(rate * data.time)
+        elif name == "quantised command":
+            data.ctrl[:] = 0.1 * size * np.round(data.ctrl / (0.1 * size))
+        elif name == "motor lag":
+            share = model.opt.timestep / (0.05 * size)
+            memory["command"] += share * (data.ctrl - memory["command"])
+            data.ctrl[:] = memory["command"]
+        elif name == "jittery delay":
+            robot.delay_s = 0.04 * size * (np.sin(rate * np.floor(data.time / 0.1)) > 0)
+        elif name == "swinging payload":
+            # A pendulum hangs from the last link, and pulls it along x.
+            body, velocity = model.nbody - 1, data.cvel[model.nbody - 1, 3]
+            swing = (0.4 * rate) ** 2
+            memory["speed"] -= swing / 9.81 * (velocity - memory["last"])
+            memory["speed"] -= swing * model.opt.timestep * np.sin(memory["angle"])
+            memory["angle"] += model.opt.timestep * memory["speed"]
+            memory["last"] = velocity
+            weight = 0.5 * size * model.body_mass[body] * 9.81
+            data.xfrc_applied[body, 0] = weight * np.sin(memory["angle"])
+
+    robot.disturb = change
+    if name == "link length":
+        model.body_pos[model.nbody - 1] *= 1.0 + 0.5 * size
 
 
 CAUSES = (
@@ -192,7 +304,7 @@ def record(robot: Robot, rng: np.random.Generator) -> dict[str, np.ndarray]:
             row = int((data.time - robot.delay_s) / INTERVAL_S + 1e-9)
             row = max(0, row - row % robot.every)
             data.ctrl[:] = robot.scale * targets[row, order] + robot.offset
-            data.qfrc_applied[:] = robot.push(data.time)
+            robot.disturb(data)
             mujoco.mj_step(model, data)
     noise = np.repeat([NOISE, RATE_NOISE], model.nq)
     noisy = np.array(states) + noise * rng.normal(size=(len(times_s), 2 * model.nq))
@@ -200,62 +312,11 @@ def record(robot: Robot, rng: np.random.Generator) -> dict[str, np.ndarray]:
     return {"t": times_s, "q": position, "dq": velocity, "target": targets}
 
 
-ANGLES = ("q", "dq", "target")
-MISTAKES = {
-    "degrees": "degrees",
-    "sign": "sign of",
-    "order": "exchanged",
-    "rate unit": "velocities are in",
-    "rate order": "velocities are exchanged",
-    "rate sign": "velocities of",
-    "spikes": "spikes",
-    "lost": "lost samples",
-    "held": "repeat the position",
-    "zero": "zero",
-}
-"""Words of the message by mistake."""
-
-
-def write_wrongly(  # noqa: C901
-    name: str, log: dict, rng: np.random.Generator
-) -> None:
-    """Change the columns of a log by a mistake."""
-    count, joints = log["q"].shape
-    joint = int(rng.integers(joints))
-    if name == "degrees":
-        log.update({key: np.rad2deg(log[key]) for key in ANGLES})
-    elif name == "sign":
-        for key in ANGLES:
-            log[key][:, joint] *= -1.0
-    elif name == "order":
-        log.update({key: np.roll(log[key], 1, axis=1) for key in ANGLES})
-    elif name == "rate unit":
-        log["dq"] = log["dq"] * rng.choice([180.0 / np.pi, 30.0 / np.pi, 0.5 / np.pi])
-    elif name == "rate order":
-        log["dq"] = np.roll(log["dq"], 1, axis=1)
-    elif name == "rate sign":
-        log["dq"][:, joint] *= -1.0
-    elif name == "spikes":
-        rows = rng.choice(count, count // 100, replace=False)
-        log["q"][rows, joint] += rng.choice([-1.0, 1.0], len(rows))
-    elif name == "lost":
-        log["q"][rng.choice(count, count // 40, replace=False)] = 0.0
-    elif name == "held":
-        for row in np.sort(rng.choice(count - 4, count // 60, replace=False)) + 1:
-            size = rng.integers(1, 4)
-            log["q"][row : row + size] = log["q"][row - 1]
-            log["dq"][row : row + size] = log["dq"][row - 1]
-    else:
-        shift = rng.choice([-0.5, 0.35, 0.6])
-        log["q"][:, joint] += shift
-        log["target"][:, joint] += shift
-
-
 def cases(kind: str, seed: int, spec: mujoco.MjSpec, folder: Path) -> Iterator[str]:
     """Write the log of a seed, and yield what is planted."""
     rng = np.random.default_rng([seed, len(kind)])
     with_servos(spec, rng)
-    robot = Robot(copy.copy(spec.compile()))
+    robot = plain = Robot(copy.copy(spec.compile()))
     (folder / "robot.xml").write_text(spec.to_xml())
     joints = robot.model.nu
     names: list[str] = []
@@ -267,22 +328,14 @@ def cases(kind: str, seed: int, spec: mujoco.MjSpec, folder: Path) -> Iterator[s
             others = [name for name in known if not same(name, names[0])]
             names.append(str(rng.choice(others)))
         for name in names:
-            robot = with_cause(name, robot, rng)
-    elif kind == "outside":
-        size = rng.uniform(0.1, 0.3) * robot.model.actuator_gainprm[0, 0]
-        rate = rng.uniform(5.0, 30.0)
-        robot.push = [
-            lambda time_s: size * np.sign(np.sin(rate * time_s)),
-            lambda time_s: size * np.sin(rate * time_s**1.5),
-            lambda time_s: size * (np.sin(rate * time_s) > 0.8),
-        ][seed % 3]
+            robot, _ = with_cause(name, robot, rng)
+    elif kind in ("outside", "twins"):
+        names = [[*OUTSIDE][seed % len(OUTSIDE)]]
+        robot, size = with_cause(names[0], plain, rng, 10.0 * NOISE)
+        if kind == "twins":
+            names = [OUTSIDE[names[0]][0]]
+            robot, _ = with_cause(names[0], plain, rng, 0.4 * size, 2.5 * size)
     log = record(robot, rng)
-    if kind == "mistakes":
-        name = [*MISTAKES][seed % len(MISTAKES)]
-        if joints == 1 and "order" in name:
-            name = "degrees"
-        write_wrongly(name, log, rng)
-        names = [name]
     np.savez(folder / "log.npz", joints=[joint.name for joint in spec.joints], **log)
     yield from names
 
@@ -293,15 +346,14 @@ def same(one: str, other: str) -> bool:
 
 
 def judge(kind: str, truth: list[str], line: object) -> str:
-    """Return `right`, `listed`, `nothing` or `wrong`."""
-    if kind == "mistakes":
-        words = MISTAKES[truth[0]]
-        text = " ".join([*line.mistakes, *(each.cause for each in line.named)])
-        if words in text:
-            return "right"
-        return "wrong" if line.named or line.mistakes else "nothing"
+    """Return `right`, `listed`, `nothing`, `part` (something else remains) or `wrong`."""
+    if line.verdict is ReplayVerdict.PART:
+        return "part"
     if kind == "outside":
-        return "wrong" if line.named else "right"
+        named = {each.cause for each in line.named}
+        if not named and not line.mistakes:
+            return "right"
+        return "listed" if named <= {*OUTSIDE[truth[0]]} else "wrong"
     if line.mistakes:
         return "wrong"
     named = [each.cause for each in line.named]
@@ -326,14 +378,20 @@ def main() -> None:
             spec = mujoco.MjSpec.from_file(files[seed % len(files)])
         with tempfile.TemporaryDirectory() as name:
             folder = Path(name)
-            truth = list(cases(kind, seed, spec, folder))
+            try:
+                truth = list(cases(kind, seed, spec, folder))
+            except ValueError as error:
+                print(seed, error)
+                continue
             begin_s = time.process_time()
             line = replay(folder / "log.npz", folder / "robot.xml").line
             cost_s = time.process_time() - begin_s
         outcome = judge(kind, truth, line)
         counts[outcome] = counts.get(outcome, 0) + 1
         twins = "; ".join(line.indistinguishable)
-        print(seed, outcome, truth, f"{cost_s:.1f} s", line.sentence, f"[{twins}]")
+        joints = spec.joints
+        print(seed, outcome, truth, f"{len(joints)} joints, {cost_s:.1f} s", end=" ")
+        print(line.sentence, f"[{twins}]")
         sys.stdout.flush()
     print(kind, counts)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -135,13 +135,6 @@ class Cause:
         base = np.where(is_moved, self.zero, self.present)
         return base + self.scale * (group.selection @ numbers)
 
-    def change(self, setup: Setup, values: FloatArray) -> Setup:
-        """Return a copy of a setup with other values."""
-        after = copy.deepcopy(setup)
-        self.apply(after, values)
-        mujoco.mj_setConst(after.model, mujoco.MjData(after.model))
-        return after
-
     def lower(self, group: ParameterGroup) -> FloatArray:
         """Return the smallest numbers of a group, shape [p]."""
         if not self.is_positive:
@@ -149,6 +142,15 @@ class Cause:
         smallest = MIN_FACTOR - self.zero / self.scale
         by_number = np.where(group.selection.T > 0.0, smallest, -FAR)
         return by_number.max(axis=1, initial=-FAR)
+
+
+def change_setup(setup: Setup, changes: Iterable[tuple[Cause, FloatArray]]) -> Setup:
+    """Return a copy of a setup with the values of causes."""
+    after = copy.deepcopy(setup)
+    for cause, values in changes:
+        cause.apply(after, values)
+    mujoco.mj_setConst(after.model, mujoco.MjData(after.model))
+    return after
 
 
 def candidates(replayer: Replayer, setup: Setup) -> list[Cause]:

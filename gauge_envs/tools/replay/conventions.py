@@ -13,7 +13,7 @@ from gauge_envs.tools.replay.log import FloatArray, Log, LogMap, with_joints
 from gauge_envs.tools.replay.model import Replayer, build_setup
 
 HORIZON_S = 0.1
-PIECES = 24
+PIECES = 16
 MIN_SAMPLES = 3
 """Length of the predictions that judge a convention, and their number."""
 MIN_GAIN = 1.0

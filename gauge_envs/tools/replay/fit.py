@@ -10,7 +10,7 @@ import numpy as np
 from scipy.optimize import OptimizeResult, approx_fprime, least_squares, lsq_linear
 from scipy.stats import t as student
 
-from gauge_envs.tools.replay.causes import Cause, ParameterGroup
+from gauge_envs.tools.replay.causes import Cause, ParameterGroup, change_setup
 from gauge_envs.tools.replay.log import FloatArray
 from gauge_envs.tools.replay.model import IntArray, Replayer, Setup
 
@@ -27,6 +27,8 @@ class Thresholds:
     Attributes:
         piece_s: Length of the predictions that are fitted first [s].
         piece_count: Number of these pieces; every other one is held out.
+        screening_count: Number of the fitted pieces that screen the causes, from small to large errors.
+        screening_dofs: Degrees of freedom up to which all of them do.
         value_s, value_count: Length and number of the pieces that give the values of the fit that is named, or of
             constants.
         long_count: Number of the long pieces by which the best fits are judged.
@@ -35,8 +37,9 @@ class Thresholds:
         max_misfit: Logarithm of the error over that of constant velocity or no motion, below which a model is no worse.
         odd_error: Error of a piece over the median one from which on it is odd.
         max_odd: Largest fraction of the pieces that are left out as odd.
-        min_share: Smallest share of the excess that a named cause explains.
-        min_part: The same for losses and armature, which are named in part.
+        min_share: Smallest share of the excess that a named cause explains, near the noise.
+        min_claim: The same farther from the noise: a cause outside of the list often looks like one of it by 98 %.
+        min_part: Smallest share of a cause that is named in part.
         about_as_good: Excess of losses and armature over the smallest one, up to which they are preferred.
         max_excess: Largest excess of a named cause, unless it leads.
         min_lead: Excess of every other cause over that of a cause that leads.
@@ -50,7 +53,11 @@ class Thresholds:
         max_worse: Largest linear error of a fit that is refined, over that of a fit that reached the noise.
         max_polished: Number of the best fits that get measured slopes and intervals.
         max_bases: Number of fits of one cause to which a second one is added.
+        min_hope: Share below which a fit is not judged by longer pieces, and no further base is tried for pairs.
+        min_second: Relative decrease of the error that a cause must bring alone to be fitted as a second one.
         max_predictions: Largest number of predictions of one least-squares fit.
+        max_steps: Number of physics steps that the noise of long pieces may cost; that of the pieces that give values
+            may cost twice as many. Above, the pieces are shorter.
         min_gain: Relative decrease of the training error below which least squares ends.
         min_step: Relative step of the numbers below which least squares ends.
         slope_step: Step of finite differences. Contacts make the residuals rough, and smaller steps measure that
@@ -59,6 +66,8 @@ class Thresholds:
 
     piece_s: float = 0.25
     piece_count: int = 28
+    screening_count: int = 4
+    screening_dofs: int = 3
     value_s: float = 1.0
     value_count: int = 20
     long_count: int = 4
@@ -68,6 +77,7 @@ class Thresholds:
     odd_error: float = 25.0
     max_odd: float = 0.1
     min_share: float = 0.9
+    min_claim: float = 0.995
     min_part: float = 0.85
     about_as_good: float = 1.5
     max_excess: float = 8.0
@@ -81,8 +91,11 @@ class Thresholds:
     max_refined: int = 10
     max_worse: float = 4.0
     max_polished: int = 3
-    max_bases: int = 3
+    max_bases: int = 2
+    min_hope: float = 0.5
+    min_second: float = 0.02
     max_predictions: int = 20
+    max_steps: int = 130_000
     min_gain: float = 0.002
     min_step: float = 1e-3
     slope_step: float = 0.1
@@ -108,8 +121,9 @@ class Fit:
     Attributes:
         terms: Cause and group of each.
         numbers: All numbers of the fit, shape [p].
-        training: Whitened residuals of the pieces that the fit sees, shape [P, T D].
-        slopes: Their change per number, shape [P, T D, p].
+        training: Whitened residuals of the pieces that the fit sees, shape [P, T D]; of those that screen before
+            `Problem.predict`.
+        slopes: Change per number on the pieces that screen, shape [R, T D, p].
         reach: How far the linear model of the residuals is used, shape [p].
         step: Change of the numbers to the optimum of the linear model, shape [p].
         linear_error: Mean squared training error there.
@@ -168,17 +182,20 @@ class Fit:
 
     def change(self, setup: Setup) -> Setup:
         """Return a setup with the values of the fit."""
-        for (cause, group), numbers in self.split(self.numbers):
-            setup = cause.change(setup, cause.values(group, numbers))
-        return setup
+        changes = [
+            (cause, cause.values(group, numbers))
+            for (cause, group), numbers in self.split(self.numbers)
+        ]
+        return change_setup(setup, changes)
 
     def shown_setup(self, setup: Setup) -> Setup:
         """Return a setup with the values that are printed: four digits, and the present one inside an interval."""
+        changes = []
         for cause, _group, fitted, low, high in self.intervals():
             rounded = np.array([float(f"{value:.4g}") for value in fitted])
             is_equal = (low <= cause.present) & (high >= cause.present)
-            setup = cause.change(setup, np.where(is_equal, cause.present, rounded))
-        return setup
+            changes.append((cause, np.where(is_equal, cause.present, rounded)))
+        return change_setup(setup, changes)
 
     def intervals(self) -> Iterator[Interval]:
         """Yield the values of each cause, with their 95 % intervals."""
@@ -233,24 +250,42 @@ class Problem:
         self.replayer, self.setup, self.floor = replayer, setup, floor
         self.weight, self.piece_s = 1.0, piece_s
         self.pieces = replayer.pieces(piece_s, count)
-        self._halves = self.pieces[::2], self.pieces[1::2]
+        self._halves = [self.pieces[::2], self.pieces[1::2]]
         covariances = [
             replayer.covariance(noisy or setup, half) for half in self._halves
         ]
         self.whiteners = [
             np.linalg.inv(np.linalg.cholesky(each)) for each in covariances
         ]
-        no_slopes = np.zeros((*self.whiteners[0].shape[:2], 0))
-        self.before = self.predict(Fit(training=NO_NUMBERS, slopes=no_slopes))
+        self.before = self.predict(Fit(training=NO_NUMBERS, slopes=NO_NUMBERS))
+        self.screening = self._screening()
+        self._halves.append(self._halves[0][self.screening])
+        self.whiteners.append(self.whiteners[0][self.screening])
+        no_slopes = np.zeros((*self.whiteners[2].shape[:2], 0))
+        self.before = replace(self.before, slopes=no_slopes)
 
-    def lengthened(self, fit: Fit) -> Problem:
-        """Return the problem with the longest pieces that a fit predicts, and the noise that it propagates.
+    def _screening(self) -> IntArray:
+        """Return which of the fitted pieces screen the causes, shape [R]."""
+        errors = np.mean(self.before.training**2, axis=1)
+        fraction = THRESHOLDS.screening_dofs / len(self.replayer.dofs)
+        count = max(THRESHOLDS.screening_count, round(fraction * len(errors)))
+        places = np.linspace(0, len(errors) - 1, min(count, len(errors)))
+        return np.sort(np.argsort(errors)[places.round().astype(int)])
+
+    def lengthened(self, fit: Fit) -> tuple[Problem, Fit]:
+        """Return the problem with the longest pieces that a fit predicts, and with its noise; and the fit there.
 
         A cause may change how the noise propagates: feet that slip keep a velocity, and feet that stick lose it. The
         problem itself is returned if the fit predicts no pieces, or if their noise hides the error of the model.
         """
+        if self.share(fit) < THRESHOLDS.min_hope:
+            return self, fit
         noisy, count = fit.change(self.setup), THRESHOLDS.long_count
-        length_s = min(self.replayer.longest_s() / count, THRESHOLDS.max_long_s)
+        length_s = min(
+            self.replayer.longest_s() / count,
+            THRESHOLDS.max_long_s,
+            self.max_total_s() / count,
+        )
         while length_s > THRESHOLDS.piece_s and self.floor == 1.0:
             problem = Problem(
                 self.replayer, self.setup, noisy=noisy, piece_s=length_s, count=count
@@ -261,32 +296,40 @@ class Problem:
             # A chaotic motion is missed more and more.
             limit = 2.0 * max(self.excess(fit), 0.0) + THRESHOLDS.near_noise
             if is_seen and problem.excess(long) < limit:
-                return problem
+                return problem, long
             length_s *= 0.5
-        return self
+        return self, fit
 
     def for_values(self, fit: Fit) -> Problem:
         """Return the problem whose pieces give the values of a fit; no longer than those that judge it."""
+        count = THRESHOLDS.value_count
+        length_s = min(THRESHOLDS.value_s, 2.0 * self.max_total_s() / count)
         return Problem(
             self.replayer,
             self.setup,
             noisy=fit.change(self.setup),
-            piece_s=min(self.piece_s, THRESHOLDS.value_s),
-            count=THRESHOLDS.value_count,
+            piece_s=min(self.piece_s, max(length_s, THRESHOLDS.piece_s)),
+            count=count,
             floor=self.floor,
         )
+
+    def max_total_s(self) -> float:
+        """Return the length of all pieces together whose noise costs `max_steps`."""
+        steps = THRESHOLDS.max_steps / self.replayer.noise_predictions
+        return steps * self.setup.step_s
 
     def judged(self, fits: Sequence[Fit], names: Sequence[str]) -> list[Fit]:
         """Return fits of other pieces with the residuals of these, the best first.
 
-        The first one, and rivals that may be as good, are fitted again where they miss the noise.
+        The first one, and a few rivals that may be as good, are fitted again where they miss the noise.
         """
         found = []
         for index, fit in enumerate(fits):
             judged = self.predict(fit)
             is_rival = index == 0 or " and ".join(fit.names) in names
             is_far = judged.error > self.floor * (1.0 + THRESHOLDS.near_noise)
-            if is_rival and is_far and len(fit.numbers):
+            is_few = index < THRESHOLDS.max_polished
+            if is_rival and is_few and is_far and len(fit.numbers):
                 again = self.minimize(judged, measure=True)
                 judged = min(judged, again, key=self.cost)
             found.append(judged)
@@ -302,7 +345,7 @@ class Problem:
 
     def odd_pieces(self, fit: Fit) -> IntArray:
         """Return the few pieces that a fit misses by far more than the others, shape [K, 1 + T]."""
-        pieces = np.concatenate(self._halves)
+        pieces = np.concatenate(self._halves[:2])
         errors = np.concatenate(
             [np.mean(each**2, axis=1) for each in (fit.training, fit.held_out)]
         )
@@ -310,7 +353,7 @@ class Problem:
         return pieces[is_odd & (is_odd.mean() < THRESHOLDS.max_odd)]
 
     def residuals(self, fit: Fit, numbers: FloatArray, half: int) -> FloatArray:
-        """Return the whitened residuals of the training or the held-out pieces for numbers, shape [P, T D]."""
+        """Return the whitened residuals of a half for numbers, shape [P, T D]: training, held out or screening (2)."""
         setup = replace(fit, numbers=numbers).change(self.setup)
         deviation = self.replayer.predict(setup, self._halves[half])
         columns = deviation.reshape(len(deviation), -1, 1)
@@ -322,23 +365,18 @@ class Problem:
         return replace(fit, training=training, held_out=held_out)
 
     def minimize(self, fit: Fit, *, measure: bool) -> Fit:
-        """Return a fit at the least squares of the training pieces, with all its residuals.
+        """Return a fit at the least squares of the pieces that screen, with all its residuals.
 
         Args:
             fit: Where it begins.
             measure: Whether the slopes are measured by finite differences at each step; else those of the fit are used.
         """
-        slopes = None if measure else fit.slopes.reshape(-1, len(fit.numbers))
-        found = least_residuals(fit, [(self, 0)], slopes)
-        training = found.fun.reshape(len(self._halves[0]), -1)
-        return replace(
-            fit,
-            numbers=found.x,
-            training=training,
-            slopes=found.jac.reshape(*training.shape, -1),
-            reach=np.full(len(found.x), np.inf),
-            held_out=self.residuals(fit, found.x, 1),
-        )
+        count = len(fit.numbers)
+        slopes = None if measure else fit.slopes.reshape(-1, count)
+        found = least_residuals(fit, [(self, 2)], slopes)
+        slopes = found.jac.reshape(*self.whiteners[2].shape[:2], count)
+        reach = np.full(count, np.inf)
+        return self.predict(replace(fit, numbers=found.x, slopes=slopes, reach=reach))
 
     def excess(self, fit: Fit) -> float:
         """Return the error beyond that of a perfect model, over it.

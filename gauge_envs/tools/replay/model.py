@@ -271,6 +271,7 @@ class Replayer:
         dofs: Addresses of the degrees of freedom in `qvel`, shape [D].
         noise: Noise of the degrees of freedom and then of their rates, shape [2 D].
         left_out: Pieces that no prediction crosses, shape [K, 1 + T].
+        noise_predictions: Number of predictions that `covariance` makes.
         is_joint: Whether a degree of freedom is a joint, shape [D].
 
     Raises:
@@ -317,6 +318,7 @@ class Replayer:
         gaps_s = np.diff(log.time_s, prepend=log.time_s[0])
         self._breaks: IntArray = np.cumsum(gaps_s > MAX_GAP * log.interval_s)
         self.left_out = np.zeros((0, 0), int)
+        self.noise_predictions = 2 * len(self.dofs) + DRAWS + 1
         self.noise = np.concatenate(
             [
                 np.maximum(noise[:6], MIN_NOISE),

@@ -45,9 +45,9 @@ from gauge_envs.tools.replay.schema import (
 )
 from gauge_envs.tools.replay.search import Explanation, explain
 
-HORIZONS_S = {0.0: 400, 0.1: 300, 0.5: 120}
+HORIZONS_S = {0.0: 200, 0.1: 150, 0.5: 60}
 """Lengths of the predictions of the table, and their number; the first is one interval of the log."""
-NOISE_PIECES = 4
+NOISE_PIECES = 3
 MIN_CORRELATION = 0.99
 """Correlation of the commands from which on a second log is a repeat of the first."""
 MIN_LEAD = 0.5
@@ -191,20 +191,20 @@ def _line(
         joints=_joint_reports(problem, _repeat(logs[0], explained)),
         candidates=tuple(alone),
         indistinguishable=tuple(explanation.indistinguishable),
-        named=tuple(_named(explanation.verdict, alone, together)),
+        named=tuple(_named(explanation, alone, together)),
         several=tuple(together),
         paste={},
     )
 
 
 def _named(
-    verdict: ReplayVerdict, alone: Sequence[Explained], together: Sequence[Explained]
+    explanation: Explanation, alone: Sequence[Explained], together: Sequence[Explained]
 ) -> Sequence[Explained]:
     """Return the causes that a verdict is about."""
-    if verdict in (ReplayVerdict.NOISE, ReplayVerdict.NOTHING):
+    if explanation.verdict in (ReplayVerdict.NOISE, ReplayVerdict.NOTHING):
         return []
-    is_alone = verdict is ReplayVerdict.CAUSE or not together
-    return alone[:1] if is_alone else together
+    is_together = explanation.change is explanation.several
+    return together if is_together else alone[:1]
 
 
 def _try_change(problem: Problem, change: Fit) -> Trial:
@@ -358,14 +358,19 @@ def _physics(line: ExplanationLine) -> Iterator[str]:
         yield f"The error is {times:.0f} times the noise."
         return
     texts = " and ".join(each.text for each in line.named)
-    verb = "explain" if len(line.named) > 1 else "explains"
+    is_part = line.verdict is ReplayVerdict.PART
+    verb = "take" if is_part else "explain"
+    verb += "s" * (len(line.named) == 1)
+    share = f"{_percent(line.named[0].share)} %{' of the error' if is_part else ''}"
     is_log = line.verdict is ReplayVerdict.LOG and not line.mistakes
     start = "The log is wrong: " if is_log else texts[0].upper()
     yield (
-        f"{start}{texts if is_log else texts[1:]} {verb} {_percent(line.named[0].share)} %: {trial.horizon_s:g} s "
+        f"{start}{texts if is_log else texts[1:]} {verb} {share}: {trial.horizon_s:g} s "
         f"prediction of {trial.joint} {_milli(trial.before)} to {_milli(trial.after)} {trial.unit}."
     )
-    if times > 2.0:
+    if is_part:
+        yield f"Something outside the list remains: {times:.1f} times the noise."
+    elif times > 2.0:
         yield f"{times:.0f} times the noise is left; nothing in the list explains that."
 
 

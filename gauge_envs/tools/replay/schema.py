@@ -20,7 +20,7 @@ class ReplayVerdict(StrEnum):
     CAUSE = "one cause"
     SEVERAL = "several causes"
     PART = "in part"
-    """Losses or armature explain nearly all; what is left is no cause of the list."""
+    """Causes take most of the error; what is left is no cause of the list."""
     NOTHING = "nothing in the list"
 
 

@@ -35,7 +35,7 @@ def try_cause(problem: Problem, cause: Cause, base: Fit) -> list[Fit]:
     def change(group: ParameterGroup, numbers: FloatArray) -> FloatArray:
         moved = replace(base, terms=(*base.terms, (cause, group)))
         numbers = np.append(base.numbers, numbers)
-        return problem.residuals(moved, numbers, 0) - base.training
+        return problem.residuals(moved, numbers, 2) - screened
 
     def fit(
         group: ParameterGroup, start: float, moved: FloatArray, slopes: FloatArray
@@ -44,18 +44,19 @@ def try_cause(problem: Problem, cause: Cause, base: Fit) -> list[Fit]:
         return Fit(
             terms=(*base.terms, (cause, group)),
             numbers=np.append(base.numbers, numbers),
-            training=base.training + moved,
+            training=screened + moved,
             slopes=np.concatenate([base.slopes, slopes], axis=-1),
             reach=np.append(base.reach, numbers * 0.0 + reach[row]),
         )
 
+    screened = base.training[problem.screening]
     if not cause.parameters:
         (group,) = cause.groups
         row, reach = 0, np.zeros(1)
         return [fit(group, 0.0, change(group, NO_NUMBERS), base.slopes[..., :0])]
     grid = np.sort(cause.starts or (0.0, THRESHOLDS.slope_step))
     singles = groups_of_one(len(cause.parameters))
-    moved = np.zeros((len(grid), *base.training.shape, len(singles)))
+    moved = np.zeros((len(grid), *screened.shape, len(singles)))
     for row in np.flatnonzero(grid).tolist():
         for column, group in enumerate(singles):
             moved[row, ..., column] = change(group, grid[[row]])
@@ -69,24 +70,29 @@ def try_cause(problem: Problem, cause: Cause, base: Fit) -> list[Fit]:
     return fits
 
 
-def best_fits(
+def screen(
     problem: Problem,
     base: Fit,
     causes: Sequence[Cause],
     advance: Callable[[str], None] = lambda _: None,
 ) -> list[Fit]:
-    """Return the best fit of each further cause on top of a base, the best first.
-
-    A few fits are refined, and after one that reaches the noise only those that come near to it.
-    """
-    promising: list[Fit] = []
+    """Return the linear fits of further causes on top of a base."""
+    fits: list[Fit] = []
     for cause in causes:
         advance(cause.name)
         if cause.name not in base.names:
-            promising += [fit.linearize() for fit in try_cause(problem, cause, base)]
+            fits += [fit.linearize() for fit in try_cause(problem, cause, base)]
+    return fits
+
+
+def best_fits(problem: Problem, screened: Sequence[Fit]) -> list[Fit]:
+    """Return the best fit of each set of causes, the best first.
+
+    A few fits are refined, and after one that reaches the noise only those that come near to it.
+    """
     limit = np.inf
     fits: list[Fit] = []
-    few = _few_by_cause(problem, promising, THRESHOLDS.max_groups)
+    few = _few_by_cause(problem, screened, THRESHOLDS.max_groups)
     for fit in few[: THRESHOLDS.max_refined]:
         fit = replace(fit, numbers=fit.numbers + fit.step)
         if fit.linear_error < limit and len(fit.numbers):
@@ -95,10 +101,10 @@ def best_fits(
             fits.append(problem.predict(fit))
         if problem.excess(fits[-1]) < THRESHOLDS.near_noise:
             limit = min(limit, THRESHOLDS.max_worse * fit.linear_error)
-    fits.sort(key=problem.cost)
-    for index, fit in enumerate(fits[: THRESHOLDS.max_polished]):
+    leading = _few_by_cause(problem, fits, 1)[: THRESHOLDS.max_polished]
+    for fit in leading:
         if len(fit.numbers):
-            fits[index] = problem.minimize(fit, measure=True)
+            fits.append(problem.minimize(fit, measure=True))
     return sorted(fits, key=problem.cost)
 
 
@@ -122,6 +128,7 @@ class Explanation:
     Attributes:
         problem: The log, in pieces as long as the best fit predicts them.
         verdict: What explains the difference.
+        change: The fit that the verdict is about; None if the model predicts the log.
         fits: Best fit of each cause, the best first; none if the model predicts the log within its noise.
         indistinguishable: Names of the causes that the log cannot tell from the first.
         several: Causes that are fitted together; None where one is enough.
@@ -129,16 +136,10 @@ class Explanation:
 
     problem: Problem
     verdict: ReplayVerdict = ReplayVerdict.NOISE
+    change: Fit | None = None
     fits: Sequence[Fit] = ()
     indistinguishable: Sequence[str] = ()
     several: Fit | None = None
-
-    @property
-    def change(self) -> Fit | None:
-        """The fit that the verdict is about: one cause, or else several if there are."""
-        if self.several is None or self.verdict is ReplayVerdict.CAUSE:
-            return next(iter(self.fits), None)
-        return self.several
 
 
 def _find_indistinguishable(problem: Problem, fits: Sequence[Fit]) -> list[str]:
@@ -156,16 +157,30 @@ def _find_indistinguishable(problem: Problem, fits: Sequence[Fit]) -> list[str]:
     return names
 
 
+def _second_causes(problem: Problem, screened: Sequence[Fit]) -> list[Cause]:
+    """Return the causes that alone decrease the error, and the losses."""
+    present = np.mean(problem.before.training[problem.screening] ** 2)
+    limit = (1.0 - THRESHOLDS.min_second) * present
+    useful = [
+        fit.terms[0][0]
+        for fit in screened
+        if fit.linear_error < limit or _is_drive(fit)
+    ]
+    return list({id(cause): cause for cause in useful}.values())
+
+
 def _fit_pairs(
     problem: Problem, bases: Sequence[Fit], causes: Sequence[Cause]
 ) -> list[Fit]:
     """Return fits of two causes: the best single ones with any other, then the last one of the best pair with any."""
     pairs: list[Fit] = []
     for base in bases[: THRESHOLDS.max_bases]:
-        pairs += best_fits(problem, base, causes)
-        if min(map(problem.excess, pairs)) < THRESHOLDS.near_noise:
+        pairs += best_fits(problem, screen(problem, base, causes))
+        best = min(pairs, key=problem.cost)
+        if problem.excess(best) < THRESHOLDS.near_noise:
             return pairs
-    best = min(pairs, key=problem.cost)
+        if problem.share(best) < THRESHOLDS.min_hope:
+            break
     *_, count = (group.selection.shape[1] for _, group in best.terms)
     first = len(best.numbers) - count
     second = replace(
@@ -175,7 +190,8 @@ def _fit_pairs(
         slopes=best.slopes[..., first:],
         reach=best.reach[first:],
     )
-    return pairs + best_fits(problem, problem.predict(second), causes)
+    screened = screen(problem, problem.predict(second), causes)
+    return pairs + best_fits(problem, screened)
 
 
 def _prefer_losses(problem: Problem, fits: Sequence[Fit]) -> Fit:
@@ -185,39 +201,47 @@ def _prefer_losses(problem: Problem, fits: Sequence[Fit]) -> Fit:
         return best
     for fit in fits:
         near = problem.excess(fit) < THRESHOLDS.about_as_good * problem.excess(best)
-        if near and {*fit.names} <= {*LOSSES}:
+        if near and _is_drive(fit):
             return fit
     return best
 
 
 def _verdict(
     problem: Problem, fits: Sequence[Fit], several: Fit | None
-) -> ReplayVerdict:
-    """Return what explains the difference.
+) -> tuple[ReplayVerdict, Fit]:
+    """Return what explains the difference, and its fit.
 
     Several causes are named if they explain it far better than one; one cause if it explains it to the noise, or far
-    better than any other one. Losses and armature, which every drive has, are named in part too.
+    better than any other one. Other causes are named in part if they take most of the error.
     """
     best, *others = fits
     excess = problem.excess(best)
-    change = several or best
-    is_drive = {*change.names} <= {*LOSSES}
-    limit = THRESHOLDS.max_excess if is_drive else THRESHOLDS.max_excess_of_several
-    limit = min(limit, THRESHOLDS.max_ratio_of_several * excess)
-    explains = several is not None and problem.share(several) > THRESHOLDS.min_share
-    if several and explains and problem.excess(several) < limit:
-        return ReplayVerdict.SEVERAL
+    far_less = THRESHOLDS.max_ratio_of_several * excess
+    if several and problem.excess(several) < far_less and _is_claim(problem, several):
+        is_near = problem.excess(several) < THRESHOLDS.max_excess_of_several
+        if is_near or _is_drive(several):
+            return ReplayVerdict.SEVERAL, several
     leads = all(problem.excess(fit) > THRESHOLDS.min_lead * excess for fit in others)
-    if several and is_drive:
-        ratio = problem.excess(several) / excess
-        leads = leads and ratio > THRESHOLDS.max_ratio_of_several
-    if problem.share(best) > THRESHOLDS.min_share and (
-        leads or excess < THRESHOLDS.max_excess
-    ):
-        return ReplayVerdict.CAUSE
-    if is_drive and problem.share(change) > THRESHOLDS.min_part:
-        return ReplayVerdict.PART
-    return ReplayVerdict.NOTHING
+    if _is_claim(problem, best) and (leads or excess < THRESHOLDS.max_excess):
+        return ReplayVerdict.CAUSE, best
+    change = best
+    if several and (_is_drive(several) or problem.excess(several) < far_less):
+        change = several
+    if problem.share(change) > THRESHOLDS.min_part:
+        return ReplayVerdict.PART, change
+    return ReplayVerdict.NOTHING, several or best
+
+
+def _is_claim(problem: Problem, fit: Fit) -> bool:
+    """Return whether a fit leaves so little of the error that its causes may be said to explain it."""
+    is_near = problem.excess(fit) < THRESHOLDS.near_noise
+    least = THRESHOLDS.min_share if is_near else THRESHOLDS.min_claim
+    return problem.share(fit) > least
+
+
+def _is_drive(fit: Fit) -> bool:
+    """Return whether a fit has only what every drive has."""
+    return {*fit.names} <= {*LOSSES}
 
 
 def _predicts(problem: Problem) -> bool:
@@ -234,7 +258,8 @@ def explain(
     """Return what explains the deviation of a log from the model: each cause alone, then several."""
     if _predicts(problem):
         return Explanation(problem)
-    fits = best_fits(problem, problem.before, causes, advance)
+    screened = screen(problem, problem.before, causes, advance)
+    fits = best_fits(problem, screened)
     replayer, odd = problem.replayer, problem.odd_pieces(fits[0])
     if len(odd) and not len(replayer.left_out):
         replayer.leave_out(odd)
@@ -242,8 +267,8 @@ def explain(
         return explain(clean, causes, advance)
     alone = _few_by_cause(problem, fits, 1)
     names = _find_indistinguishable(problem, alone)
-    bases = alone
-    judge = problem.lengthened(alone[0])
+    bases = [*alone]
+    judge, alone[0] = problem.lengthened(alone[0])
     alone = judge.judged(alone, names)
     names = judge.still_equal(alone, names)
     limit = THRESHOLDS.near_noise
@@ -252,18 +277,21 @@ def explain(
     several: Fit | None = None
     if judge.excess(alone[0]) > limit:
         advance("several together")
-        together = _fit_pairs(problem, bases, causes)
+        together = _fit_pairs(problem, bases, _second_causes(problem, screened))
         together = _few_by_cause(problem, together, 1)
         pairs = _find_indistinguishable(problem, together)
-        judge = problem.lengthened(together[0])
+        judge, together[0] = problem.lengthened(together[0])
         together = judge.judged(together, pairs)
         alone = judge.judged(alone, ())
         several = _prefer_losses(judge, together)
-    verdict = _verdict(judge, alone, several)
+    verdict, change = _verdict(judge, alone, several)
     if verdict is ReplayVerdict.SEVERAL:
         names = judge.still_equal(together, pairs)
-    if verdict is ReplayVerdict.CAUSE or several is None:
-        alone[0] = fit_values(alone[0], [judge.for_values(alone[0])])
+    fitted = change
+    if verdict is not ReplayVerdict.NOTHING:
+        fitted = fit_values(change, [judge.for_values(change)])
+    if change is several:
+        several = fitted
     else:
-        several = fit_values(several, [judge.for_values(several)])
-    return Explanation(judge, verdict, alone, names, several)
+        alone[0] = fitted
+    return Explanation(judge, verdict, fitted, alone, names, several)

@@ -79,6 +79,7 @@ def record(
     delay_s: float = 0.0,
     columns: tuple[int, ...] = (0, 1),
     push: Callable[[float], float] = lambda _: 0.0,
+    dead_zone: float = 0.0,
     duration_s: float = 8.0,
 ) -> tuple[Path, Path]:
     """Return a log of a changed robot, and the model without the change."""
@@ -97,6 +98,8 @@ def record(
             row = targets[max(0, int(now_s / INTERVAL_S + 1e-9))]
             data.ctrl = row[list(columns[: model.nu])]
             data.xfrc_applied[-1, 0] = push(now_s)
+            slack = np.clip(data.qpos[0] - data.ctrl[0], -dead_zone, dead_zone)
+            data.qfrc_applied[0] = model.actuator_gainprm[0, 0] * slack
             mujoco.mj_step(model, data)
     rng = np.random.default_rng(0)
     noise = np.repeat([5e-4, 1e-2], model.nq)

@@ -137,6 +137,14 @@ def test_a_force_that_is_not_in_the_list_is_not_explained(tmp_path):
 
 
 @slow
+def test_backlash_is_no_dry_friction(tmp_path):
+    """A dead zone of the servo looks like losses, which take most of the error and are not said to explain it."""
+    line = replay(*record(tmp_path, dead_zone=0.03)).line
+    assert line.verdict in (ReplayVerdict.PART, ReplayVerdict.NOTHING)
+    assert " explain" not in line.sentence.replace("list explains", "")
+
+
+@slow
 def test_a_push_in_one_piece_hides_no_cause(tmp_path):
     line = replay(
         *record(
