@@ -5,12 +5,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from os import PathLike
 from typing import Any, ClassVar, cast
 
 import numpy as np
+from gymnasium import spaces
 from gymnasium.utils.seeding import np_random
 from gymnasium.vector import (
     AsyncVectorEnv,
@@ -30,8 +32,9 @@ from gauge_envs.envs.arguments import (
     warn_before_use,
 )
 from gauge_envs.envs.guards import GuardedEnv, one_thread
-from gauge_envs.envs.initial_states import InitialStates, Scatter
+from gauge_envs.envs.initial_states import Draw, InitialStates, Scatter
 from gauge_envs.envs.pictures import WORLDS_RENDER_MODES, Pictures, rollout_picture
+from gauge_envs.envs.rollout import Rollout
 from gauge_envs.envs.spaces import (
     Observation,
     action_space_of,
@@ -42,10 +45,12 @@ from gauge_envs.errors import ActionError, EpisodeError, ParameterError
 from gauge_envs.experiments.scene_builder import Parameters
 from gauge_envs.experiments.variants import Variant
 from gauge_envs.observables.observer import MarkerProxy
+from gauge_envs.references.band import Band
 from gauge_envs.references.user_data import DataSource
 from gauge_envs.scene.geometry import BoolArray, FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.scoring.score import Score
+from gauge_envs.validation import chosen
 
 Step = tuple[
     Observation,
@@ -56,19 +61,254 @@ Step = tuple[
 ]
 
 
-class GaugeVectorEnv(GuardedEnv, VectorEnv[Observation, Any, NDArray[Any]]):
-    """Synchronous worlds of one experiment on one backend, which may simulate them in a batch.
+class WorldsEnv(GuardedEnv, VectorEnv[Any, Any, NDArray[Any]], ABC):
+    """Worlds that advance together, and whose episodes start and end on their own; base of the vector environments.
 
-    Each world behaves as a `GaugeEnv`. Spaces, rewards and `infos` have the form of `gymnasium.vector.SyncVectorEnv`.
-    Worlds differ in their actions, with `jitter` in their initial states, and with `world_parameters` in their
-    constants.
+    Spaces, rewards and `infos` have the form of `gymnasium.vector.SyncVectorEnv`, with its three autoreset modes:
 
-    Worlds are reset together, and without divergence all end in the same frame. The next step ignores its actions and
-    starts the next episode of all worlds (`AutoresetMode.NEXT_STEP`).
+    - `NEXT_STEP`: the step after the end of a world's episode ignores its action and starts its next episode.
+    - `SAME_STEP`: the step that ends an episode also starts the next one; `infos` has `final_obs` and `final_info`.
+    - `DISABLED`: the user resets the worlds that have ended, with the option `reset_mask`, before the next step.
 
-    Divergence terminates a world in that frame, with the reason in `infos["diverged"]`. The world then waits until the
-    others have ended: its observation stays the same, its reward is 0, `terminations` stays true, and `infos` has no
-    entry for it. These steps belong to no episode.
+    Attributes:
+        rollout: The current episodes.
+        on_end: Function that is called at the end of episodes, before the worlds restart. It gets the mask of these
+            worlds, shape [N], and returns entries of `infos`.
+    """
+
+    rollout: Rollout
+    on_end: Callable[[BoolArray], dict[str, Any]] | None = None
+    _name: str
+    _pictures: Pictures
+    _initial_states: InitialStates
+
+    def __init__(self, num_envs: int, autoreset_mode: AutoresetMode | str) -> None:
+        if not isinstance(num_envs, int) or num_envs < 1:
+            raise ParameterError(f"num_envs is {num_envs!r}, expected 1 or more")
+        self._mode = chosen(AutoresetMode, autoreset_mode, "autoreset_mode")
+        self.metadata = {**type(self).metadata, "autoreset_mode": self._mode}
+        self.num_envs = num_envs
+        self._over = np.zeros(num_envs, dtype=np.bool_)
+        self._randoms: list[np.random.Generator] = []
+
+    def _set_spaces(self, observation: spaces.Space, action: spaces.Space) -> None:
+        self.single_observation_space, self.single_action_space = observation, action
+        self.observation_space = batch_space(observation, self.num_envs)
+        self.action_space = batch_space(action, self.num_envs)
+
+    # --- hooks ---
+
+    @abstractmethod
+    def _start(self, worlds: BoolArray, given: list[int | None], draw: Draw) -> None:
+        """Start an episode in worlds, shape [N], from the given seeds and the source of initial states."""
+
+    @abstractmethod
+    def _advance(self, actions: FloatArray) -> tuple[FloatArray, BoolArray, BoolArray]:
+        """Simulate a frame, and return rewards, terminations and truncations, shape [N]."""
+
+    @abstractmethod
+    def _observations(self) -> Any:
+        """Return the observations of all worlds in new arrays."""
+
+    @abstractmethod
+    def _info(self, world: int) -> dict[str, Any]:
+        """Return the `info` of a world, whose values are hashable."""
+
+    # --- episodes ---
+
+    @one_thread
+    def reset(
+        self,
+        *,
+        seed: int | Sequence[int | None] | None = None,
+        options: dict[str, Any] | None = None,
+    ) -> tuple[Any, dict[str, Any]]:
+        """Start a new episode in every world, or in those of the option `reset_mask`.
+
+        Args:
+            seed: Seed of the engine and of the first world's random numbers; each next world has one more. Or the seeds
+                of all worlds; the engine takes the first. None is 0 in an experiment without noise. With noise and in
+                control tasks, the random numbers of each world continue, as in an autoreset.
+            options: See `GaugeEnv.reset`; an autoreset keeps them. With `{"jitter": True}` each world has its own
+                initial state; `{"trial": 3}` starts every world from trial 3. With single-trial recordings, the seed of
+                a world selects its trial. `{"reset_mask": mask}` starts the worlds of a mask of shape [N] alone.
+        """
+        self._check_open("reset")
+        worlds = np.ones(self.num_envs, dtype=np.bool_)
+        if isinstance(options, dict) and "reset_mask" in options:
+            worlds = self._mask(options["reset_mask"])
+            others = {key: options[key] for key in options if key != "reset_mask"}
+            options = others or None
+        given = [None] * self.num_envs if seed is None else self._seeds(seed)
+        draw = self._initial_states.of_reset(options, seeded=seed is not None)
+        if not self._randoms:
+            self._randoms = [np_random(None)[0] for _ in given]
+        for world in np.flatnonzero(worlds).tolist():
+            if given[world] is not None:
+                self._randoms[world] = np_random(given[world])[0]
+        self._begin(worlds, given, draw)
+        return self._observations(), self._infos(worlds)
+
+    def _begin(self, worlds: BoolArray, given: list[int | None], draw: Draw) -> None:
+        self._start(worlds, given, draw)
+        self._over[worlds] = False
+
+    def _restart(self, worlds: BoolArray) -> None:
+        """Start the next episode of worlds, as a reset without seed and options."""
+        if worlds.any():
+            draw = self._initial_states.of_reset(None, seeded=False)
+            self._begin(worlds, [None] * self.num_envs, draw)
+
+    def _mask(self, mask: Any) -> BoolArray:
+        mask = np.asarray(mask)
+        is_mask = mask.shape == (self.num_envs,) and mask.dtype == np.bool_
+        if not (is_mask and mask.any() and (mask.all() or self.rollout.has_begun)):
+            expected = (
+                f"{self.num_envs} booleans with a True; the first reset needs all"
+            )
+            raise ParameterError(
+                f"option 'reset_mask' is {mask.tolist()}, expected {expected}"
+            )
+        return mask
+
+    def _seeds(self, seed: int | Sequence[int | None]) -> list[int | None]:
+        """Return the seed of each world; a single seed grows by one per world."""
+        if isinstance(seed, int | np.integer):
+            return [int(seed) + world for world in range(self.num_envs)]
+        if len(seed) != self.num_envs:
+            raise ParameterError(
+                f"{len(seed)} seeds for {self.num_envs} worlds: give one for each world, or a single number"
+            )
+        return list(seed)
+
+    @one_thread
+    def step(self, actions: Any) -> Step:
+        """Simulate one frame, 1/30 s, in every world; the autoreset mode says what happens after an end.
+
+        Args:
+            actions: One action for each world; actions of worlds that have ended are ignored.
+
+        Raises:
+            EpisodeError: The environment was not reset, or with `DISABLED` a world that has ended was not.
+        """
+        self._check_started("step")
+        ended, running = self._over.copy(), ~self._over
+        rewards, terminated, truncated = np.zeros((3, self.num_envs))
+        terminated, truncated = terminated.astype(bool), truncated.astype(bool)
+        if ended.any() and self._mode is AutoresetMode.DISABLED:
+            raise EpisodeError(
+                f"{self._name}: the episodes of worlds {np.flatnonzero(ended).tolist()} are over: reset them with the "
+                "option 'reset_mask'"
+            )
+        # If all worlds have ended, nothing is left to simulate.
+        if running.any():
+            rewards, terminated, truncated = self._advance(
+                self._checked(actions, np.flatnonzero(running).tolist())
+            )
+            rewards[ended], terminated[ended], truncated[ended] = 0.0, False, False
+        self._over = terminated | truncated
+        infos: dict[str, Any] = {}
+        if self._over.any() and self.on_end is not None:
+            infos = self.on_end(self._over)
+        if self._mode is AutoresetMode.SAME_STEP:
+            infos |= self._final(self._over, infos)
+            ended = self._over.copy()
+        self._restart(ended)
+        infos |= self._infos(np.ones(self.num_envs, dtype=np.bool_))
+        return self._observations(), rewards, terminated, truncated, infos
+
+    def _final(self, over: BoolArray, ending: dict[str, Any]) -> dict[str, Any]:
+        """Return the last observations and infos of worlds that restart in this step, with entries of their end."""
+        if not over.any():
+            return {}
+        observations = np.full(self.num_envs, None, dtype=object)
+        batch = self._observations()
+        for world in np.flatnonzero(over).tolist():
+            observations[world] = (
+                {key: rows[world] for key, rows in batch.items()}
+                if isinstance(batch, dict)
+                else batch[world]
+            )
+        final_info = self._infos(over) | ending
+        return {
+            "final_obs": observations,
+            "_final_obs": over.copy(),
+            "final_info": final_info,
+            "_final_info": over.copy(),
+        }
+
+    def _checked(self, actions: Any, running: Sequence[int]) -> FloatArray:
+        """Return the actions of all worlds, shape [num_envs, action_size]; 0 for worlds that have ended."""
+        count = len(actions) if hasattr(actions, "__len__") else 0
+        if count != self.num_envs:
+            raise ActionError(
+                f"{self._name}: actions {actions!r}: expected one action for each of {self.num_envs} worlds"
+            )
+        checked = np.zeros((self.num_envs, *(self.single_action_space.shape or (0,))))
+        if isinstance(actions, np.ndarray) and actions in self.action_space:
+            if checked.size:
+                checked[running] = actions[running]
+            return checked
+        for world in running:
+            checked[world] = checked_action(
+                actions[world], self.single_action_space, self._name
+            )
+        return checked
+
+    def _infos(self, worlds: BoolArray) -> dict[str, Any]:
+        """Return the infos of some worlds."""
+        infos: dict[str, Any] = {}
+        # Nearly all worlds have the same entries.
+        same: dict[tuple[tuple[str, Any], ...], list[int]] = {}
+        for world in np.flatnonzero(worlds).tolist():
+            same.setdefault(tuple(self._info(world).items()), []).append(world)
+        for entries, members in same.items():
+            infos = self._add_info(infos, dict(entries), members[0])
+            for key, value in entries:
+                infos[key][members] = value
+                infos[f"_{key}"][members] = True
+        return infos
+
+    @one_thread
+    def render(self) -> tuple[Any, ...] | None:
+        """Return a picture of each world in the form of the render mode, or None without one."""
+        if self.render_mode is None:
+            return None
+        self._check_started("render")
+        return tuple(
+            rollout_picture(self._pictures, self.rollout, self._bands, world)
+            for world in range(self.num_envs)
+        )
+
+    @property
+    def _bands(self) -> Sequence[Band | None]:
+        """Reference of each world, which pictures show."""
+        return [None] * self.num_envs
+
+    @one_thread
+    def close_extras(self, **_: Any) -> None:
+        """Free the worlds and the renderer."""
+        self._pictures.close()
+        self.rollout.simulation.close()
+
+    def _check_open(self, call: str) -> None:
+        if self.closed:
+            raise EpisodeError(
+                f"{self._name}: {call} after close; make the environment again"
+            )
+
+    def _check_started(self, call: str) -> None:
+        self._check_open(call)
+        if not self.rollout.has_begun:
+            raise EpisodeError(f"{self._name}: call reset before {call}")
+
+
+class GaugeVectorEnv(WorldsEnv):
+    """Worlds of one experiment on one backend, which may simulate them in a batch.
+
+    Each world behaves as a `GaugeEnv`; see `WorldsEnv` for the three autoreset modes. Worlds differ in their actions,
+    with `jitter` in their initial states, and with `world_parameters` in their constants. Divergence terminates a world
+    in that frame, with the reason in `infos["diverged"]`; it restarts alone.
 
     Args:
         variant: Variant, its name, or its Gymnasium id, as `SlopeSlider-2-wood`; or the path of a task file, as
@@ -95,6 +335,7 @@ class GaugeVectorEnv(GuardedEnv, VectorEnv[Observation, Any, NDArray[Any]]):
         world_parameters: Overrides for each world in addition to `parameters`, such as
             `[{"cube.friction": 0.25}, {"cube.friction": 0.30}]`. Such worlds are built sequentially. A solution cannot
             score a world with other constants, see `Score.refused`.
+        autoreset_mode: Mode of `gymnasium.vector.AutoresetMode`, or its value.
 
     Attributes:
         arguments: Variant and keywords.
@@ -121,7 +362,6 @@ class GaugeVectorEnv(GuardedEnv, VectorEnv[Observation, Any, NDArray[Any]]):
     metadata: ClassVar[dict[str, Any]] = {  # type: ignore[misc]  # gymnasium declares it without ClassVar
         "render_modes": [*WORLDS_RENDER_MODES],
         "render_fps": int(FRAME_RATE_HZ),
-        "autoreset_mode": AutoresetMode.NEXT_STEP,
     }
 
     def __init__(
@@ -143,9 +383,9 @@ class GaugeVectorEnv(GuardedEnv, VectorEnv[Observation, Any, NDArray[Any]]):
         render_overlay: bool = False,
         jitter: Scatter = None,
         world_parameters: Sequence[Mapping[str, Any]] | None = None,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
     ) -> None:
-        if not isinstance(num_envs, int) or num_envs < 1:
-            raise ParameterError(f"num_envs is {num_envs!r}, expected 1 or more")
+        super().__init__(num_envs, autoreset_mode)
         if world_parameters is not None and len(world_parameters) != num_envs:
             raise ParameterError(
                 f"world_parameters has {len(world_parameters)} entries for {num_envs} worlds: give one for each"
@@ -177,123 +417,45 @@ class GaugeVectorEnv(GuardedEnv, VectorEnv[Observation, Any, NDArray[Any]]):
                 varied = replace(self.arguments, parameters=changed)
                 experiments[world] = varied.experiment()
         self._initial_states = InitialStates(experiment, jitter)
-        self.rollout = self.arguments.rollout(experiments)
+        self.rollout = self.arguments.rollout(experiments, restarts=True)
         self.references = WorldReferences(self.rollout)
         self.band = self.references.bands[0]
         self.versions = versions_of(self.arguments.backend)
         self.seeds_used: tuple[int, ...] = ()
-        self._randoms: list[np.random.Generator] = []
-        self.num_envs = num_envs
-        self.single_action_space = action_space_of(experiment)
-        self.single_observation_space = observation_space_of(experiment)
-        self.action_space = batch_space(self.single_action_space, num_envs)
-        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self._name = experiment.id
+        self._set_spaces(observation_space_of(experiment), action_space_of(experiment))
 
-    @one_thread
-    def reset(
-        self,
-        *,
-        seed: int | Sequence[int] | None = None,
-        options: dict[str, Any] | None = None,
-    ) -> tuple[Observation, dict[str, Any]]:
-        """Start a new episode in every world.
-
-        Args:
-            seed: Seed of the engine and of the first world's noise; each next world has one more. Or the seeds of all
-                worlds; the engine takes the first. None is 0. With noise, None draws the seed of each world from its
-                random numbers, as an autoreset does.
-            options: See `GaugeEnv.reset`; an autoreset keeps them. With `{"jitter": True}` each world has its own
-                initial state; `{"trial": 3}` starts every world from trial 3. With single-trial recordings, the seed of
-                a world selects its trial.
-        """
-        self._check_open("reset")
-        given = [None] * self.num_envs if seed is None else self._seeds(seed)
-        sampler = self._initial_states
-        draw = sampler.of_reset(options, seeded=seed is not None)
-        if seed is not None or not self._randoms:
-            self._randoms = [np_random(world_seed)[0] for world_seed in given]
-        seeds = [*range(self.num_envs)]
-        if seed is not None or draw is not None:
-            seeds = [
-                sampler.seed_of(world_seed, draw, random)
-                for world_seed, random in zip(given, self._randoms, strict=True)
-            ]
-        super().reset(seed=seeds[0])
+    def _start(self, worlds: BoolArray, given: list[int | None], draw: Draw) -> None:
+        sampler, rollout = self._initial_states, self.rollout
+        seeds = list(self.seeds_used or range(self.num_envs))
+        starts = list(rollout.initial_states) or [sampler.sample(None, 0)] * len(seeds)
+        chosen = np.flatnonzero(worlds).tolist()
+        for world in chosen:
+            seeds[world] = world
+            if given[world] is not None or draw is not None:
+                random = self._randoms[world]
+                seeds[world] = sampler.seed_of(given[world], draw, random)
+            starts[world] = sampler.sample(draw, seeds[world])
         self.seeds_used = tuple(seeds)
-        self.rollout.reset(
-            [sampler.sample(draw, world_seed) for world_seed in seeds], seeds[0]
-        )
+        rollout.reset(starts, seeds[chosen[0]], worlds)
         self.references.start()
-        observations = self.rollout.recording.observation()
-        return observations, self._infos(range(self.num_envs))
 
-    def _seeds(self, seed: int | Sequence[int | None]) -> list[int | None]:
-        """Return the seed of each world; a single seed grows by one per world."""
-        if isinstance(seed, int | np.integer):
-            return [int(seed) + world for world in range(self.num_envs)]
-        if len(seed) != self.num_envs:
-            raise ParameterError(
-                f"{len(seed)} seeds for {self.num_envs} worlds: give one for each world, or a single number"
-            )
-        return list(seed)
-
-    @one_thread
-    def step(self, actions: Any) -> Step:
-        """Simulate one frame, 1/30 s, in every world; if all have ended, start the next episode of all instead.
-
-        Args:
-            actions: One action for each world; actions of worlds that have ended are ignored.
-        """
-        self._check_started("step")
+    def _advance(self, actions: FloatArray) -> tuple[FloatArray, BoolArray, BoolArray]:
         rollout = self.rollout
-        if rollout.is_over.all():
-            observations, infos = self.reset()
-            none = np.zeros(self.num_envs, dtype=np.bool_)
-            return observations, np.zeros(self.num_envs), none, none.copy(), infos
-        running = np.flatnonzero(~rollout.is_over).tolist()
-        rollout.step(self._checked(actions, running))
+        rollout.step(actions)
         terminated = rollout.terminated.copy()
-        truncated = rollout.is_over & ~terminated
-        rewards, infos = self.references.rewards(), self._infos(running)
-        observations = rollout.recording.observation()
-        return observations, rewards, terminated, truncated, infos
+        truncated = rollout.is_complete & ~terminated
+        return self.references.rewards(), terminated, truncated
 
-    def _checked(self, actions: Any, running: Sequence[int]) -> FloatArray:
-        """Return the actions of all worlds, shape [num_envs, motion_count]; 0 for worlds that have ended."""
-        count = len(actions) if hasattr(actions, "__len__") else 0
-        if count != self.num_envs:
-            raise ActionError(
-                f"{self.experiment.id}: actions {actions!r}: expected one action for each of {self.num_envs} worlds"
-            )
-        checked = np.zeros((self.num_envs, self.rollout.motion_count))
-        if isinstance(actions, np.ndarray) and actions in self.action_space:
-            if checked.size:
-                checked[running] = actions[running]
-            return checked
-        for world in running:
-            checked[world] = checked_action(
-                actions[world], self.single_action_space, self.experiment.id
-            )
-        return checked
+    def _observations(self) -> Observation:
+        return self.rollout.recording.observation()
 
-    def _infos(self, worlds: Sequence[int]) -> dict[str, Any]:
-        """Return the infos of some worlds."""
-        infos: dict[str, Any] = {}
-        # Nearly all worlds have the same entries.
-        same: dict[tuple[tuple[str, Any], ...], list[int]] = {}
-        for world in worlds:
-            info = {
-                **self.rollout.info(world),
-                "reference": self.references.kind(world),
-            }
-            entries = tuple(info.items())
-            same.setdefault(entries, []).append(world)
-        for entries, members in same.items():
-            infos = self._add_info(infos, dict(entries), members[0])
-            for key, value in entries:
-                infos[key][members] = value
-                infos[f"_{key}"][members] = True
-        return infos
+    def _info(self, world: int) -> dict[str, Any]:
+        return {**self.rollout.info(world), "reference": self.references.kind(world)}
+
+    @property
+    def _bands(self) -> Sequence[Band | None]:
+        return self.references.bands
 
     @one_thread
     def scores(self) -> tuple[Score | None, ...]:
@@ -318,34 +480,6 @@ class GaugeVectorEnv(GuardedEnv, VectorEnv[Observation, Any, NDArray[Any]]):
             )
         return self.references.score_arrays()
 
-    @one_thread
-    def render(self) -> tuple[Any, ...] | None:
-        """Return a picture of each world in the form of the render mode, or None without one."""
-        if self.render_mode is None:
-            return None
-        self._check_started("render")
-        return tuple(
-            rollout_picture(self._pictures, self.rollout, self.references.bands, world)
-            for world in range(self.num_envs)
-        )
-
-    @one_thread
-    def close_extras(self, **_: Any) -> None:
-        """Free the worlds and the renderer."""
-        self._pictures.close()
-        self.rollout.simulation.close()
-
-    def _check_open(self, call: str) -> None:
-        if self.closed:
-            raise EpisodeError(
-                f"{self.experiment.id}: {call} after close; make the environment again"
-            )
-
-    def _check_started(self, call: str) -> None:
-        self._check_open(call)
-        if self.rollout.frame is None:
-            raise EpisodeError(f"{self.experiment.id}: call reset before {call}")
-
 
 class ScoreEpisodes(VectorWrapper):
     """Score each episode of a vector environment once, when it ends.
@@ -356,8 +490,8 @@ class ScoreEpisodes(VectorWrapper):
 
     Args:
         env: A `GaugeVectorEnv`, or Gymnasium's `SyncVectorEnv` or `AsyncVectorEnv` of environments of this suite.
-        arrays: Whether to add the arrays of `GaugeVectorEnv.score_arrays` with their masks in place of `score`, at the
-            step that ends the last episode. This scores thousands of worlds in one pass.
+        arrays: Whether to add the arrays of `GaugeVectorEnv.score_arrays` with their masks in place of `score`. This
+            scores thousands of worlds in one pass.
 
     Example:
         >>> import gymnasium as gym
@@ -382,6 +516,19 @@ class ScoreEpisodes(VectorWrapper):
             )
         self._arrays = arrays
         self._over = np.zeros(env.num_envs, dtype=np.bool_)
+        if isinstance(env.unwrapped, GaugeVectorEnv):
+            env.unwrapped.on_end = self._native
+
+    def _native(self, over: BoolArray) -> dict[str, Any]:
+        """Return the scores of worlds of a native environment that have ended, as entries of `infos`."""
+        env = self.env.unwrapped
+        assert isinstance(env, GaugeVectorEnv)
+        if self._arrays:
+            scores = env.score_arrays()
+            return scores | {
+                f"_{key}": over & np.isfinite(scores[key]) for key in scores
+            }
+        return self._with_scores({}, np.flatnonzero(over).tolist(), env.scores())
 
     def reset(
         self,
@@ -390,7 +537,8 @@ class ScoreEpisodes(VectorWrapper):
         options: dict[str, Any] | None = None,
     ) -> tuple[Any, dict[str, Any]]:
         """Start new episodes."""
-        self._over[:] = False
+        worlds = (options or {}).get("reset_mask", slice(None))
+        self._over[worlds] = False
         # Gymnasium's vector environments accept a list of seeds; the annotation of their base class does not.
         return self.env.reset(seed=cast("int | None", seed), options=options)
 
@@ -400,29 +548,23 @@ class ScoreEpisodes(VectorWrapper):
         over = terminations | truncations
         ended = np.flatnonzero(over & ~self._over).tolist()
         self._over = over
-        if self._arrays:
-            env = self.env.unwrapped
-            assert isinstance(env, GaugeVectorEnv)
-            if ended and over.all() and env.band is not None:
-                scores = env.score_arrays()
-                infos |= scores | {
-                    f"_{key}": np.isfinite(values) for key, values in scores.items()
-                }
-        elif ended and "score" not in infos:
-            episode_scores = self._ended(infos)
-            for number in ended:
-                if episode_scores[number] is not None:
-                    infos = self._add_info(
-                        infos, {"score": episode_scores[number]}, number
-                    )
+        is_native = isinstance(self.env.unwrapped, GaugeVectorEnv)
+        if ended and not is_native and "score" not in infos:
+            infos = self._with_scores(infos, ended, self._ended(infos))
         return observations, rewards, terminations, truncations, infos
+
+    def _with_scores(
+        self, infos: dict[str, Any], worlds: Sequence[int], scores: Sequence[Any]
+    ) -> dict[str, Any]:
+        """Return infos with the scores of some worlds."""
+        for world in worlds:
+            if scores[world] is not None:
+                infos = self._add_info(infos, {"score": scores[world]}, world)
+        return infos
 
     def _ended(self, infos: Mapping[str, Any]) -> Sequence[Any]:
         """Return the score of each world, see `GaugeEnv.score`."""
-        env = self.env.unwrapped
-        if isinstance(env, GaugeVectorEnv):
-            return env.scores()
-        env = cast("SyncVectorEnv | AsyncVectorEnv", env)
+        env = cast("SyncVectorEnv | AsyncVectorEnv", self.env.unwrapped)
         if env.metadata["autoreset_mode"] is not AutoresetMode.SAME_STEP:
             return env.call("score")
         final = infos["final_info"]

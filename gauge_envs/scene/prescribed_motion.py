@@ -10,7 +10,9 @@ import numpy as np
 
 from gauge_envs.scene.drivers import Driver, recorded_coordinates
 from gauge_envs.scene.geometry import (
+    BoolArray,
     FloatArray,
+    IntArray,
     quaternion_products,
     quaternion_vectors,
     unit_quaternions,
@@ -55,12 +57,14 @@ class PrescribedMotion:
         if all(motion.kind == "translate" for motion in driver.motions):
             self._axes = np.array([motion.axis for motion in driver.motions])
         self._nominal = [driver] * world_count, np.tile(start, (world_count, 1))
+        self._offsets = np.zeros((world_count, self.motion_count))
         self.reset()
 
     def reset(
         self,
         drivers: Sequence[Driver] | None = None,
         start_poses: FloatArray | None = None,
+        worlds: BoolArray | None = None,
     ) -> None:
         """Return to the recorded motion.
 
@@ -68,6 +72,7 @@ class PrescribedMotion:
             drivers: Driver of each world, with the same degrees of freedom and action scales; None is the nominal
                 driver.
             start_poses: Pose of the body in each world before anything moves, shape [N, 7]; None is the nominal pose.
+            worlds: Which worlds return; the others must keep their driver and pose. None is all.
         """
         nominal_drivers, nominal_poses = self._nominal
         if drivers is None:
@@ -77,13 +82,11 @@ class PrescribedMotion:
         self._drivers = list(drivers)
         self._start = np.array(start_poses, dtype=np.float64)
         self._start[:, 3:] = unit_quaternions(self._start[:, 3:])
-        self._offsets = np.zeros((len(self._start), self.motion_count))
+        self._offsets[slice(None) if worlds is None else worlds] = 0.0
         # If all worlds have the same motion, they share it, and the axis of worlds has length 1.
         is_shared = all(driver is self._drivers[0] for driver in self._drivers)
         is_shared = is_shared and (self._start == self._start[0]).all()
-        worlds = range(len(self._drivers))
-        if is_shared:
-            worlds = range(1)
+        self._columns = np.arange(1 if is_shared else len(self._drivers))
         recorded = [
             _recorded(
                 self._drivers[world],
@@ -91,17 +94,21 @@ class PrescribedMotion:
                 self._count,
                 self._interval_s,
             )
-            for world in worlds
+            for world in self._columns
         ]
         self._targets, self._values, self._rates = (
             np.stack(arrays, axis=1) for arrays in zip(*recorded, strict=True)
         )
 
-    def targets(self, first: int, actions: FloatArray, count: int = 1) -> FloatArray:
+    def targets(
+        self, first: int | IntArray, actions: FloatArray, count: int = 1
+    ) -> FloatArray:
         """Return the targets of the next intervals for `Simulation.drive`, and add the displacement by the actions.
 
+        After its last interval a motion repeats it, because worlds that have ended still move with the others.
+
         Args:
-            first: Number of the first interval, from 0.
+            first: Number of the first interval, from 0; or the number in each world, shape [N].
             actions: Action for each degree of freedom, from -1 to 1, shape [N, M], for all of these intervals.
             count: Number of intervals.
 
@@ -109,15 +116,18 @@ class PrescribedMotion:
             Shape [count, N, 19].
         """
         rates = actions * self._scale
-        part = slice(first, first + count + 1)
+        samples = np.arange(count + 1)[:, None] + first
+        part = np.minimum(samples, self._count), self._columns
+        recorded = self._targets[
+            np.minimum(samples[:-1], self._count - 1), self._columns
+        ]
         if not (self._offsets.any() or rates.any()):
-            recorded = self._targets[first : first + count]
-            return np.broadcast_to(recorded, (len(recorded), len(rates), 19))
+            return np.broadcast_to(recorded, (count, len(rates), 19))
         offsets = self._offsets + self._times_s[: count + 1] * rates
         self._offsets = offsets[-1]
         if self._axes is not None:
             # A constant velocity adds to translations.
-            targets = self._targets[first : first + count] + np.zeros((len(rates), 1))
+            targets = recorded + np.zeros((len(rates), 1))
             targets[:, :, :3] += offsets[:-1] @ self._axes
             targets[:, :, 7:10] += rates @ self._axes
             return targets
