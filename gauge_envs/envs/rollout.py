@@ -61,9 +61,8 @@ class Recording(Protocol):
     def read_points(self, interval: int) -> None:
         """Read all worlds after an interval of a frame."""
 
-    def end_frame(self, is_running: BoolArray) -> FloatArray:
-        """Record a frame, and return the states of the dynamic bodies, shape [N, body_count, 13]."""
-        ...
+    def end_frame(self, is_running: BoolArray) -> FloatArray | None:
+        """Record a frame, and return the states of the dynamic bodies, shape [N, body_count, 13], if it read them."""
 
 
 def intervals(
@@ -134,11 +133,12 @@ class Rollout:
         experiments: The experiment of each world; they may differ in constants.
         simulation: The worlds, at the nominal start.
         marker_proxy: Marker proxy of deformable bodies: material point or nearest node.
+        motions: Motions of the driven bodies; None is the recorded motion with a displacement by actions.
+        recorder: What is recorded; None is an `EpisodeRecording`.
 
     Attributes:
         experiment: The experiment of the first world.
         simulation: The worlds.
-        recording: The recorded motion of the worlds.
         world_count: Number of worlds N.
         frames: Number of the current frame of each world, shape [N].
         has_begun: Whether the worlds were reset.
@@ -158,6 +158,8 @@ class Rollout:
         simulation: Simulation,
         *,
         marker_proxy: MarkerProxy = MarkerProxy.MATERIAL,
+        motions: Sequence[Motion] | None = None,
+        recorder: Recording | None = None,
     ) -> None:
         self.experiment = experiment = experiments[0]
         scene = experiment.scene
@@ -173,8 +175,10 @@ class Rollout:
         self._dynamic = [body.name for body in scene.dynamic_bodies]
         driven = [driver.body for driver in scene.drivers]
         check_states(simulation, [*self._dynamic, *driven])
-        seconds = (experiment.frame_count - 1) / FRAME_RATE_HZ
-        self._motions = prescribed_motions(scene, seconds, world_count=self.world_count)
+        if motions is None:
+            seconds = (experiment.frame_count - 1) / FRAME_RATE_HZ
+            motions = prescribed_motions(scene, seconds, world_count=self.world_count)
+        self._motions = motions
         self.rest_nodes_m = {
             body.name: simulation.nodes(body.name)[0].copy()
             for body in scene.deformables
@@ -183,9 +187,15 @@ class Rollout:
             name: float(spans_m(nodes[None])[0])
             for name, nodes in self.rest_nodes_m.items()
         }
-        self.recording = EpisodeRecording(
+        self._recorder = recorder or EpisodeRecording(
             experiment, simulation, self.frames, marker_proxy
         )
+
+    @property
+    def recording(self) -> EpisodeRecording:
+        """The recorded motion of the worlds; control tasks record none."""
+        assert isinstance(self._recorder, EpisodeRecording)
+        return self._recorder
 
     @property
     def motion_count(self) -> int:
@@ -237,7 +247,7 @@ class Rollout:
         for world in np.flatnonzero(worlds & self.terminated).tolist():
             del self.diverged[world]
         self.terminated[worlds] = False
-        self.recording.start(worlds)
+        self._recorder.start(worlds)
 
     def step(self, actions: FloatArray) -> None:
         """Simulate one frame of all worlds.
@@ -262,11 +272,11 @@ class Rollout:
         for index in intervals(
             self.simulation, self._motions, first, SAMPLES_PER_FRAME, motion_actions
         ):
-            self.recording.read_points(index)
+            self._recorder.read_points(index)
             yield index
         self.is_running = ~self.is_over
         self.frames[self.is_running] += 1
-        states = self.recording.end_frame(self.is_running)
+        states = self._recorder.end_frame(self.is_running)
         for world, reason in self.divergences(states).items():
             if self.is_running[world]:
                 self.diverged[world] = reason

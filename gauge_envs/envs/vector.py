@@ -91,7 +91,9 @@ class WorldsEnv(GuardedEnv, VectorEnv[Any, Any, NDArray[Any]], ABC):
         self._over = np.zeros(num_envs, dtype=np.bool_)
         self._randoms: list[np.random.Generator] = []
 
-    def _set_spaces(self, observation: spaces.Space, action: spaces.Space) -> None:
+    def _set_spaces(
+        self, observation: spaces.Space[Any], action: spaces.Space[Any]
+    ) -> None:
         self.single_observation_space, self.single_action_space = observation, action
         self.observation_space = batch_space(observation, self.num_envs)
         self.action_space = batch_space(action, self.num_envs)
@@ -139,7 +141,7 @@ class WorldsEnv(GuardedEnv, VectorEnv[Any, Any, NDArray[Any]], ABC):
             worlds = self._mask(options["reset_mask"])
             others = {key: options[key] for key in options if key != "reset_mask"}
             options = others or None
-        given = [None] * self.num_envs if seed is None else self._seeds(seed)
+        given = self._seeds(seed)
         draw = self._initial_states.of_reset(options, seeded=seed is not None)
         if not self._randoms:
             self._randoms = [np_random(None)[0] for _ in given]
@@ -171,8 +173,10 @@ class WorldsEnv(GuardedEnv, VectorEnv[Any, Any, NDArray[Any]], ABC):
             )
         return mask
 
-    def _seeds(self, seed: int | Sequence[int | None]) -> list[int | None]:
+    def _seeds(self, seed: int | Sequence[int | None] | None) -> list[int | None]:
         """Return the seed of each world; a single seed grows by one per world."""
+        if seed is None:
+            return [None] * self.num_envs
         if isinstance(seed, int | np.integer):
             return [int(seed) + world for world in range(self.num_envs)]
         if len(seed) != self.num_envs:
@@ -193,8 +197,8 @@ class WorldsEnv(GuardedEnv, VectorEnv[Any, Any, NDArray[Any]], ABC):
         """
         self._check_started("step")
         ended, running = self._over.copy(), ~self._over
-        rewards, terminated, truncated = np.zeros((3, self.num_envs))
-        terminated, truncated = terminated.astype(bool), truncated.astype(bool)
+        rewards = np.zeros(self.num_envs)
+        terminated, truncated = np.zeros((2, self.num_envs), dtype=np.bool_)
         if ended.any() and self._mode is AutoresetMode.DISABLED:
             raise EpisodeError(
                 f"{self._name}: the episodes of worlds {np.flatnonzero(ended).tolist()} are over: reset them with the "

@@ -141,7 +141,7 @@ class SimulationMuJoCo(PlacedSimulation):
     ) -> None:
         """Start worlds; MuJoCo draws no random numbers, so the seed has no effect."""
         key = mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_KEY, START_KEY)
-        chosen = range(self.world_count)
+        chosen = [*range(self.world_count)]
         if worlds is not None:
             chosen = np.flatnonzero(worlds).tolist()
         for world in chosen:
