@@ -19,7 +19,6 @@ from gymnasium.envs import registration
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
-from gauge_envs.backends.simulation import Simulation
 from gauge_envs.envs.arguments import (
     EnvArguments,
     check_episode_steps,
@@ -35,9 +34,8 @@ from gauge_envs.envs.pictures import (
     rollout_picture,
 )
 from gauge_envs.envs.rollout import Rollout
-from gauge_envs.envs.vector import WorldsEnv
+from gauge_envs.envs.vector import GaugeVectorEnv, WorldsEnv
 from gauge_envs.errors import EpisodeError, ParameterError
-from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.scene_builder import Parameters
 from gauge_envs.experiments.variants import find_variant
@@ -148,7 +146,7 @@ class FrameSamples:
         """Leave the reading of the states to the rollout."""
 
 
-class ControlTask(ABC):
+class ControlTask(GuardedEnv, ABC):
     """A control task in N worlds of a published scene; a law gives its true optimum.
 
     One step is 1/30 s, in six intervals of 1/180 s with a constant action. The action is a Box [-1, 1] with an entry
@@ -159,12 +157,10 @@ class ControlTask(ABC):
     Args:
         material: Material of the cube, the ball or the cloth.
         world_count: Number of worlds N.
-        backend: Name of an installed physics engine.
-        parameters: `published`, another parameter set of the task file, or overrides such as
-            `{"cube.friction": 0.3}`.
-        settings: Numerical settings of the engine that replace the preset and `MUJOCO_TIMESTEPS_S`.
-        jitter: Initial-state noise of every episode, as for `GaugeEnv`: `real`, or a `Jitter`. The random numbers of
-            a world draw it, then the goal, if any.
+        backend: As for `ControlEnv`, like the other arguments.
+        parameters: Parameter set or overrides.
+        settings: Settings of the engine.
+        jitter: Initial-state noise.
 
     Attributes:
         SCENE: Variant whose scene the task uses, without its material, as `Turntable-1`.
@@ -267,7 +263,7 @@ class ControlTask(ABC):
         """Return the scene of the task, from the experiment's scene, in which driven bodies rest without actions."""
         return scene
 
-    def _follow(self, states: FloatArray) -> None:  # noqa: B027
+    def _follow(self, states: FloatArray) -> None:
         """Move bodies of the task along with changed initial states of a world, shape [body_count, 13]."""
 
     @abstractmethod
@@ -296,7 +292,7 @@ class ControlTask(ABC):
             randoms: Random numbers of all worlds.
         """
 
-    def _before_step(self, commands: FloatArray) -> None:  # noqa: B027
+    def _before_step(self, commands: FloatArray) -> None:
         """Apply actions other than the acceleration of the stage, shape [N, len(COMMANDED)]."""
 
     @abstractmethod
@@ -470,10 +466,10 @@ class ControlTask(ABC):
         )
 
 
-def made_task(family: str, material: str, **arguments: Any) -> ControlTask:
+def made_task(family: str, *arguments: Any, **options: Any) -> ControlTask:
     """Return the task of a family; see `ControlTask` for the arguments."""
     kind: Any = registration.load_env_creator(f"{ENTRY_POINT}.{FAMILIES[family][0]}")
-    return cast("ControlTask", kind(material, **arguments))
+    return cast("ControlTask", kind(*arguments, **options))
 
 
 def _spaces(task: ControlTask) -> tuple[Any, Any]:
@@ -495,21 +491,25 @@ class ControlEnv(GuardedEnv, gymnasium.Env[FloatArray, NDArray[np.float32]]):
     Args:
         family: Name of the task without its material, as `Throw`.
         material: Material of the cube, the ball or the cloth.
-        backend: As for `ControlTask`.
-        parameters: As for `ControlTask`.
-        settings: As for `ControlTask`.
+        backend: Name of an installed physics engine.
+        parameters: `published`, another parameter set of the task file, or overrides such as
+            `{"cube.friction": 0.3}`.
+        settings: Numerical settings of the engine that replace the preset and `MUJOCO_TIMESTEPS_S`.
         render_mode: None; `human` for a window that the mouse turns, drawn by `reset` and `step`; `rgb_array`;
             `depth_array`, the distance from the plane of the camera [m], float32; `rgbd_tuple`, both.
         width: Picture width [pixels]; None is 640.
         height: Picture height [pixels]; None is 480.
         camera: Entries that replace entries of the scene's camera: `target_m`, `distance_m`, `azimuth_deg` and
             `elevation_deg`.
-        jitter: As for `ControlTask`.
+        jitter: Initial-state noise of every episode, as for `GaugeEnv`: `real`, or a `Jitter`. The random numbers of
+            the environment draw it, then the goal, if any.
 
     Attributes:
-        task: The task, with one world.
+        task: The task, with one world; it has the limit and the report.
         OBSERVED: Names of the observation's entries, with units.
         COMMANDED: Names of the action's entries.
+        arguments: Variant of the scene, engine, parameters and settings.
+        experiment: The experiment, with the drivers and the duration of the task.
         rollout: The episode.
 
     Example:
@@ -542,7 +542,7 @@ class ControlEnv(GuardedEnv, gymnasium.Env[FloatArray, NDArray[np.float32]]):
         jitter: Scatter = None,
     ) -> None:
         self.render_mode = render_mode
-        self.task = made_task(
+        self.task = task = made_task(
             family,
             material,
             backend=backend,
@@ -550,12 +550,13 @@ class ControlEnv(GuardedEnv, gymnasium.Env[FloatArray, NDArray[np.float32]]):
             settings=settings,
             jitter=jitter,
         )
-        view = {**self.task.CAMERA, **(camera or {})}
+        view = {**task.CAMERA, **(camera or {})}
         self._pictures = Pictures(render_mode, width=width, height=height, camera=view)
-        self.OBSERVED, self.COMMANDED = self.task.OBSERVED, self.task.COMMANDED
-        self.rollout = self.task.rollout
+        self.OBSERVED, self.COMMANDED = task.OBSERVED, task.COMMANDED
+        self.arguments, self.experiment = task.arguments, task.experiment
+        self.rollout = task.rollout
         self._observations: list[FloatArray] = []
-        self.observation_space, self.action_space = _spaces(self.task)
+        self.observation_space, self.action_space = _spaces(task)
 
     @one_thread
     def reset(
@@ -586,7 +587,7 @@ class ControlEnv(GuardedEnv, gymnasium.Env[FloatArray, NDArray[np.float32]]):
             EpisodeError: The environment was not reset, or the episode is over.
         """
         task = self.task
-        if not self.rollout.has_begun or self.is_over:
+        if not self.rollout.has_begun or task.endings[0] is not None:
             raise EpisodeError(f"{task.FAMILY}: call reset before step")
         command = checked_action(action, self.action_space, task.FAMILY)
         (reward,), (terminated,), (truncated,) = task.step(command[None])
@@ -609,43 +610,9 @@ class ControlEnv(GuardedEnv, gymnasium.Env[FloatArray, NDArray[np.float32]]):
         """Return the observations of the episode so far, from the start on, shape [frame + 1, len(OBSERVED)]."""
         return np.array(self._observations)
 
-    @property
-    def experiment(self) -> Experiment:
-        """The experiment, with the drivers and the duration of the task."""
-        return self.task.experiment
-
-    @property
-    def simulation(self) -> Simulation:
-        """The simulation of the world."""
-        return self.rollout.simulation
-
-    @property
-    def limit(self) -> Limit:
-        """The best that the law allows."""
-        return self.task.limit()
-
-    @property
-    def steps(self) -> int:
-        """Steps of an episode, one for each frame after the first."""
-        return self.experiment.frame_count - 1
-
-    @property
-    def time_s(self) -> float:
-        """Time since the start of the episode [s]."""
-        return float(self.task.times_s[0])
-
-    @property
-    def is_over(self) -> bool:
-        """Whether the episode has ended."""
-        return self.task.endings[0] is not None
-
     def law_action(self, fraction: float) -> NDArray[np.float32]:
         """Return the action of the law's policy; see `ControlTask.law_action`."""
         return self.task.law_action(fraction)
-
-    def report(self) -> LimitReport:
-        """Return the policy's result in the episode and the law's limit; see `ControlTask.report`."""
-        return self.task.report()
 
     @one_thread
     def render(self) -> Rendered | None:
@@ -658,7 +625,7 @@ class ControlEnv(GuardedEnv, gymnasium.Env[FloatArray, NDArray[np.float32]]):
     def close(self) -> None:
         """Free the simulation and the renderer. A second call does nothing."""
         self._pictures.close()
-        self.simulation.close()
+        self.rollout.simulation.close()
 
 
 class ControlVectorEnv(WorldsEnv):
@@ -668,25 +635,19 @@ class ControlVectorEnv(WorldsEnv):
         family: As for `ControlEnv`.
         material: As for `ControlEnv`.
         num_envs: Number of worlds, 1 or more.
-        backend: As for `ControlTask`.
-        parameters: As for `ControlTask`.
-        settings: As for `ControlTask`.
         render_mode: None, `rgb_array`, `depth_array` or `rgbd_tuple`, as for `ControlEnv`.
         width: Picture width [pixels]; None is 640.
         height: Picture height [pixels]; None is 480.
         camera: As for `ControlEnv`.
-        jitter: As for `ControlTask`; each world has its own initial states.
         autoreset_mode: Mode of `gymnasium.vector.AutoresetMode`, or its value.
         max_episode_steps: Steps of an episode; `gymnasium.make_vec` passes those of the spec.
+        **arguments: Other arguments of `ControlTask`; with `jitter` each world has its own initial states.
 
     Attributes:
         task: The task.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {  # type: ignore[misc]  # gymnasium declares it without ClassVar
-        "render_modes": [*WORLDS_RENDER_MODES],
-        "render_fps": int(FRAME_RATE_HZ),
-    }
+    metadata = GaugeVectorEnv.metadata
 
     def __init__(
         self,
@@ -694,29 +655,18 @@ class ControlVectorEnv(WorldsEnv):
         material: str,
         num_envs: int = 1,
         *,
-        backend: str = "mujoco",
-        parameters: Parameters = "published",
-        settings: Mapping[str, Any] | None = None,
         render_mode: str | None = None,
         width: int | None = None,
         height: int | None = None,
         camera: Mapping[str, Any] | None = None,
-        jitter: Scatter = None,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         max_episode_steps: int | None = None,
+        **arguments: Any,
     ) -> None:
         super().__init__(num_envs, autoreset_mode)
         self.render_mode = render_mode
-        self.task = made_task(
-            family,
-            material,
-            world_count=num_envs,
-            backend=backend,
-            parameters=parameters,
-            settings=settings,
-            jitter=jitter,
-        )
-        check_episode_steps(max_episode_steps, self.task.experiment.frame_count - 1)
+        self.task = made_task(family, material, world_count=num_envs, **arguments)
+        check_episode_steps(max_episode_steps, FAMILIES[family][2])
         self._pictures = Pictures(
             render_mode,
             width=width,
@@ -759,8 +709,9 @@ def play_paid(
         seed: Seed of the reset, which draws the goal of a task with a goal.
     """
     observation, _ = env.reset(seed=seed)
-    paid = 0.0
-    while not env.is_over:
-        observation, reward, *_ = env.step(policy(observation))
+    paid, over = 0.0, False
+    while not over:
+        observation, reward, terminated, truncated, _ = env.step(policy(observation))
         paid += reward
-    return paid, env.report()
+        over = terminated or truncated
+    return paid, env.task.report()

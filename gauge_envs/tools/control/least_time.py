@@ -179,7 +179,7 @@ class LeastTimeLimit(CubeLimit):
         # The last frame of an episode may be incomplete.
         missing = SAMPLES_PER_FRAME - self._shown
         intervals = self.rollout.frames * SAMPLES_PER_FRAME - missing
-        self._time_s = intervals * SAMPLE_INTERVAL_S
+        self._time_s = SAMPLE_INTERVAL_S * intervals.astype(np.float64)
 
     def _yaws_rad(self, quaternions: FloatArray) -> FloatArray:
         """Return the z component of the rotation vectors since the start [rad], shape [6, N]."""
