@@ -542,9 +542,10 @@ class ScoreEpisodes(VectorWrapper):
     ) -> tuple[Any, dict[str, Any]]:
         """Start new episodes."""
         worlds = (options or {}).get("reset_mask", slice(None))
-        self._over[worlds] = False
         # Gymnasium's vector environments accept a list of seeds; the annotation of their base class does not.
-        return self.env.reset(seed=cast("int | None", seed), options=options)
+        started = self.env.reset(seed=cast("int | None", seed), options=options)
+        self._over[worlds] = False
+        return started
 
     def step(self, actions: Any) -> Step:
         """Step, and score the episodes that end."""

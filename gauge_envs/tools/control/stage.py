@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -185,9 +186,12 @@ class Stage:
         self.acceleration = actions * self._scale
         self._move(self.acceleration * SAMPLE_INTERVAL_S)
         functions = self._functions()
-        states = functions @ self._values + self._constant
+        # Bits of a product by BLAS would depend on the number of worlds.
+        product = partial(np.einsum, "snf,fk->snk")
+        states = product(functions, self._values) + self._constant
         self.poses = states[..., :7]
-        return np.asarray(states[:-1] + np.diff(functions, axis=0) @ self._gains)
+        gains = product(np.diff(functions, axis=0), self._gains)
+        return np.asarray(states[:-1] + gains)
 
     def _move(self, changes: FloatArray) -> None:
         """Advance coordinates and rates by a frame with a change of the rates in each interval, shape [N, M]."""
