@@ -93,6 +93,10 @@ class Simulation(ABC):
             names: Names of rigid bodies; fixed and driven bodies are allowed.
         """
 
+    def body_positions(self, names: Sequence[str]) -> FloatArray:
+        """Return the current positions of rigid bodies [m], shape [N, len(names), 3]; environments read them most."""
+        return self.body_states(names)[:, :, :3]
+
     def nodes(self, name: str) -> FloatArray:
         """Return the nodes of a deformable body [m], shape [N, node_count, 3]."""
         raise KeyError(name)

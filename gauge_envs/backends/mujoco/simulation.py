@@ -233,6 +233,15 @@ class SimulationMuJoCo(PlacedSimulation):
             self._moving[name].read(states[:, row])
         return states
 
+    def body_positions(self, names: Sequence[str]) -> FloatArray:
+        """Return the positions of bodies [m], shape [N, len(names), 3]."""
+        bodies = [self._moving.get(name) for name in names]
+        free = [body for body in bodies if isinstance(body, _FreeBody)]
+        if len(free) < len(bodies):
+            return super().body_positions(names)
+        places = np.concatenate([place for body in free for place in body.places])
+        return places.reshape(len(free), -1, 3).transpose(1, 0, 2)
+
     def nodes(self, name: str) -> FloatArray:
         """Return the nodes of a deformable body [m], shape [1, node_count, 3]."""
         part = self.parts[name]
@@ -297,12 +306,17 @@ def _touches(
 
 
 class _FreeBody:
-    """Views of MuJoCo's arrays with the states of a body on a free joint in all worlds."""
+    """Views of MuJoCo's arrays with the states of a body on a free joint in all worlds.
+
+    Attributes:
+        places: Its position in each world [m], shape [3] each.
+    """
 
     def __init__(
         self, model: mujoco.MjModel, datas: Sequence[mujoco.MjData], name: str
     ) -> None:
         views = [free_joint_views(model, data, name) for data in datas]
+        self.places = [pose[:3] for pose, _ in views]
         # Pose, its quaternion, and linear and angular velocity of each world.
         self._views = [(pose, pose[3:], rate[:3], rate[3:]) for pose, rate in views]
 
