@@ -1,4 +1,4 @@
-"""The vector environment of many worlds of one experiment, and the wrapper that scores any vector environment.
+"""The vector environment of many worlds of one experiment, and the wrapper that scores its episodes.
 
 `gymnasium.make_vec(id, num_envs=6)` makes a `GaugeVectorEnv` within `ScoreEpisodes`.
 """
@@ -9,19 +9,13 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from os import PathLike
-from typing import Any, ClassVar, cast
+from typing import Any, ClassVar
 
 import numpy as np
 from gymnasium import spaces
 from gymnasium.utils.seeding import np_random
-from gymnasium.vector import (
-    AsyncVectorEnv,
-    AutoresetMode,
-    SyncVectorEnv,
-    VectorEnv,
-    VectorWrapper,
-)
-from gymnasium.vector.utils import batch_space
+from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
+from gymnasium.vector.utils import batch_space, iterate
 from numpy.typing import NDArray
 
 from gauge_envs.backends.registry import versions_of
@@ -226,13 +220,9 @@ class WorldsEnv(GuardedEnv, VectorEnv[Any, Any, NDArray[Any]], ABC):
         if not over.any():
             return {}
         observations = np.full(self.num_envs, None, dtype=object)
-        batch = self._observations()
+        batch = [*iterate(self.observation_space, self._observations())]
         for world in np.flatnonzero(over).tolist():
-            observations[world] = (
-                {key: rows[world] for key, rows in batch.items()}
-                if isinstance(batch, dict)
-                else batch[world]
-            )
+            observations[world] = batch[world]
         final_info = self._infos(over) | ending
         return {
             "final_obs": observations,
@@ -486,101 +476,44 @@ class GaugeVectorEnv(WorldsEnv):
 
 
 class ScoreEpisodes(VectorWrapper):
-    """Score each episode of a vector environment once, when it ends.
+    """Score each episode of a `GaugeVectorEnv` once, when it ends.
 
     At the step that ends an episode, in every autoreset mode, it adds to `infos`: `score`, an array of
-    `gauge_envs.Score` of shape [num_envs], None for a world whose episode did not end; and the mask `_score`. It keeps
-    scores from sub-environments of `gymnasium.make`.
+    `gauge_envs.Score` of shape [num_envs], None for a world whose episode did not end; and the mask `_score`.
+    Environments of `gymnasium.make` score themselves, also within Gymnasium's vector environments.
 
     Args:
-        env: A `GaugeVectorEnv`, or Gymnasium's `SyncVectorEnv` or `AsyncVectorEnv` of environments of this suite.
+        env: The environment, with or without other wrappers.
         arrays: Whether to add the arrays of `GaugeVectorEnv.score_arrays` with their masks in place of `score`. This
             scores thousands of worlds in one pass.
 
-    Example:
-        >>> import gymnasium as gym
-        >>> from gauge_envs import GaugeEnv
-        >>> from gauge_envs.envs.vector import ScoreEpisodes
-        >>> envs = gym.vector.SyncVectorEnv([lambda: GaugeEnv("SlopeSlider-2-wood")] * 2)
-        >>> envs = ScoreEpisodes(envs)
-        >>> _ = envs.reset(seed=0)
-        >>> for _ in range(18):
-        ...     *_, infos = envs.step([0, 0])
-        >>> [round(score.rmse_normalized, 2) for score in infos["score"]]
-        [0.41, 0.41]
+    Raises:
+        ParameterError: The environment is no `GaugeVectorEnv`.
     """
 
     def __init__(
         self, env: VectorEnv[Any, Any, NDArray[Any]], *, arrays: bool = False
     ) -> None:
         super().__init__(env)
-        if arrays and not isinstance(env.unwrapped, GaugeVectorEnv):
+        worlds = env.unwrapped
+        if not isinstance(worlds, GaugeVectorEnv):
             raise ParameterError(
-                f"arrays: expected a GaugeVectorEnv, got a {type(env.unwrapped).__name__}"
+                f"ScoreEpisodes: expected a GaugeVectorEnv, got a {type(worlds).__name__}"
             )
-        self._arrays = arrays
-        self._over = np.zeros(env.num_envs, dtype=np.bool_)
-        if isinstance(env.unwrapped, GaugeVectorEnv):
-            env.unwrapped.on_end = self._native
+        self._worlds, self._arrays = worlds, arrays
+        worlds.on_end = self._scores
 
-    def _native(self, over: BoolArray) -> dict[str, Any]:
-        """Return the scores of worlds of a native environment that have ended, as entries of `infos`."""
-        env = self.env.unwrapped
-        assert isinstance(env, GaugeVectorEnv)
+    def _scores(self, over: BoolArray) -> dict[str, Any]:
+        """Return the scores of worlds that have ended, as entries of `infos`."""
         if self._arrays:
-            scores = env.score_arrays()
-            return scores | {
-                f"_{key}": over & np.isfinite(scores[key]) for key in scores
-            }
-        return self._with_scores({}, np.flatnonzero(over).tolist(), env.scores())
-
-    def reset(
-        self,
-        *,
-        seed: int | Sequence[int] | None = None,
-        options: dict[str, Any] | None = None,
-    ) -> tuple[Any, dict[str, Any]]:
-        """Start new episodes."""
-        worlds = (options or {}).get("reset_mask", slice(None))
-        # Gymnasium's vector environments accept a list of seeds; the annotation of their base class does not.
-        started = self.env.reset(seed=cast("int | None", seed), options=options)
-        self._over[worlds] = False
-        return started
-
-    def step(self, actions: Any) -> Step:
-        """Step, and score the episodes that end."""
-        observations, rewards, terminations, truncations, infos = self.env.step(actions)
-        over = terminations | truncations
-        ended = np.flatnonzero(over & ~self._over).tolist()
-        self._over = over
-        is_native = isinstance(self.env.unwrapped, GaugeVectorEnv)
-        if ended and not is_native and "score" not in infos:
-            infos = self._with_scores(infos, ended, self._ended(infos))
-        return observations, rewards, terminations, truncations, infos
-
-    def _with_scores(
-        self, infos: dict[str, Any], worlds: Sequence[int], scores: Sequence[Any]
-    ) -> dict[str, Any]:
-        """Return infos with the scores of some worlds."""
-        for world in worlds:
-            if scores[world] is not None:
-                infos = self._add_info(infos, {"score": scores[world]}, world)
+            arrays = self._worlds.score_arrays()
+            masks = {f"_{key}": over & np.isfinite(arrays[key]) for key in arrays}
+            return arrays | masks
+        infos: dict[str, Any] = {}
+        scores = self._worlds.scores()
+        for world in np.flatnonzero(over).tolist():
+            infos = self._add_info(infos, {"score": scores[world]}, world)
         return infos
-
-    def _ended(self, infos: Mapping[str, Any]) -> Sequence[Any]:
-        """Return the score of each world, see `GaugeEnv.score`."""
-        env = cast("SyncVectorEnv | AsyncVectorEnv", self.env.unwrapped)
-        if env.metadata["autoreset_mode"] is not AutoresetMode.SAME_STEP:
-            return env.call("score")
-        final = infos["final_info"]
-        last = env.get_attr("experiment")[0].frame_count - 1
-        if "score" not in final and ("diverged" in final or last in final["frame"]):
-            raise EpisodeError(
-                "the sub-environments restart in the step that ends an episode, which loses its score. Make them with "
-                "gymnasium.make, which scores each episode, or choose another autoreset mode."
-            )
-        none: list[None] = [None] * self.num_envs
-        return cast("Sequence[Any]", final.get("score", none))
 
 
 def scored_vector_env(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from functools import lru_cache
+from functools import lru_cache, partial
 
 import numpy as np
 
@@ -53,9 +53,6 @@ class PrescribedMotion:
         times_s = interval_s * np.arange(count + 1, dtype=np.float64)
         self._times_s = times_s[:, None, None]
         self._scale = np.array([motion.residual_rate for motion in driver.motions])
-        self._axes: FloatArray | None = None
-        if all(motion.kind == "translate" for motion in driver.motions):
-            self._axes = np.array([motion.axis for motion in driver.motions])
         self._nominal = [driver] * world_count, np.tile(start, (world_count, 1))
         self._offsets = np.zeros((world_count, self.motion_count))
         self.reset()
@@ -87,6 +84,11 @@ class PrescribedMotion:
         is_shared = all(driver is self._drivers[0] for driver in self._drivers)
         is_shared = is_shared and (self._start == self._start[0]).all()
         self._columns = np.arange(1 if is_shared else len(self._drivers))
+        self._simple: SimpleTargets | None = None
+        if is_shared and SimpleTargets.fit(self._drivers[0]):
+            self._simple = SimpleTargets(
+                self._drivers[0], self._start[0], self._interval_s
+            )
         recorded = [
             _recorded(
                 self._drivers[world],
@@ -125,15 +127,84 @@ class PrescribedMotion:
             return np.broadcast_to(recorded, (count, len(rates), 19))
         offsets = self._offsets + self._times_s[: count + 1] * rates
         self._offsets = offsets[-1]
-        if self._axes is not None:
-            # A constant velocity adds to translations.
-            targets = recorded + np.zeros((len(rates), 1))
-            targets[:, :, :3] += offsets[:-1] @ self._axes
-            targets[:, :, 7:10] += rates @ self._axes
-            return targets
         values, part_rates = self._values[part] + offsets, self._rates[part] + rates
+        if self._simple is not None:
+            return self._simple.targets(values, part_rates)[0]
         states = _states(self._drivers, self._start, values, part_rates)
         return uniformly_accelerated(states, self._interval_s)
+
+
+class SimpleTargets:
+    """Targets of a body that translates, or rotates about one axis: few functions of its coordinates times a matrix.
+
+    At an angle t of a rotation, the position is centre + a cos t + b sin t. The arm a leads from the axis to the body,
+    and b = axis x a. The quaternion is q cos(t / 2) + p sin(t / 2) with p = (0, axis) q.
+
+    Args:
+        driver: A driver that `fit` accepts.
+        start: Pose of the body before anything moves, position [m] and unit quaternion w x y z, shape [7].
+        interval_s: Length of an interval [s].
+    """
+
+    def __init__(
+        self, driver: Driver, start: FloatArray, interval_s: float = SAMPLE_INTERVAL_S
+    ) -> None:
+        count, motion = len(driver.motions), driver.motions[0]
+        self._turns = motion.kind == "rotate"
+        values, gains = np.zeros((2, 8 if self._turns else 2 * count, 19))
+        means, accelerations = gains[:, 7:13], gains[:, 13:]
+        axes, rates = (
+            np.array([each.axis for each in driver.motions]),
+            slice(count, None),
+        )
+        self._constant = np.zeros(19)
+        self._constant[:7] = start
+        if self._turns:
+            across = (start[:3] - motion.point_m) @ motion.cross_product
+            axes = np.array([-across @ motion.cross_product, across])
+            count, rates = 2, slice(4, 6)
+            values[2, 3:7] = start[3:]
+            values[3, 3:7] = start[3:] @ motion.quaternion_product
+            means[7, 3:] = np.array(motion.axis) / interval_s
+            accelerations[6, 3:] = means[7, 3:]
+            self._constant[:7] = 0.0
+            self._constant[:3] = start[:3] - axes[0]
+        values[:count, :3] = axes
+        means[:count, :3] = accelerations[rates, :3] = axes / interval_s
+        # The mean velocity of the interval minus half of its gain is the velocity at its start.
+        means -= 0.5 * interval_s * accelerations
+        self._values, self._gains = values, gains
+
+    @staticmethod
+    def fit(driver: Driver) -> bool:
+        """Return whether a driver has translations alone or one rotation."""
+        kinds = [motion.kind for motion in driver.motions]
+        return kinds == ["rotate"] or "rotate" not in kinds
+
+    def targets(
+        self, values: FloatArray, rates: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return the targets of intervals, shape [S - 1, N, 19], and the poses at their ends, shape [S, N, 7].
+
+        Args:
+            values: Coordinates at the ends of the intervals [m or rad], shape [S, N, M].
+            rates: Their rates, of the same shape.
+        """
+        functions = self._functions(values, rates)
+        # Bits of a product by BLAS would depend on the number of worlds.
+        product = partial(np.einsum, "snf,fk->snk")
+        states = product(functions, self._values) + self._constant
+        gains = product(np.diff(functions, axis=0), self._gains)
+        return states[:-1] + gains, states[..., :7]
+
+    def _functions(self, values: FloatArray, rates: FloatArray) -> FloatArray:
+        """Return the functions of the coordinates, shape [S, N, function_count]."""
+        if not self._turns:
+            return np.concatenate([values, rates], axis=-1)
+        cosines, sines = np.cos(values), np.sin(values)
+        halves = np.cos(0.5 * values), np.sin(0.5 * values)
+        parts = cosines, sines, *halves, -rates * sines, rates * cosines, rates, values
+        return np.concatenate(parts, axis=-1)
 
 
 def prescribed_motions(

@@ -7,7 +7,7 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium.envs.registration import EnvSpec
-from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv
+from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from gymnasium.wrappers.vector import RecordEpisodeStatistics
 from opengl import needs_opengl
 
@@ -284,7 +284,7 @@ def test_arrays_need_a_reference_and_a_native_vector_environment():
     with pytest.raises(ParameterError, match="needs a reference, and it has none"):
         make("RotatingBall-satin", score_arrays=True)
     with pytest.raises(ParameterError, match="expected a GaugeVectorEnv"):
-        ScoreEpisodes(SyncVectorEnv([lambda: GaugeEnv(SLIDE)]), arrays=True)
+        ScoreEpisodes(SyncVectorEnv([lambda: GaugeEnv(SLIDE)]))
 
 
 def test_training_leaves_scores_out():
@@ -302,33 +302,13 @@ def test_training_leaves_scores_out():
         pytest.param(TILTED, "async", AutoresetMode.NEXT_STEP, marks=SLOW),
     ],
 )
-def test_scores_arrive_from_sub_environments(name, mode, autoreset):
+def test_separate_environments_score_themselves(name, mode, autoreset):
     options = {"autoreset_mode": autoreset}
-    envs = ScoreEpisodes(make(name, vectorization_mode=mode, vector_kwargs=options))
+    envs = make(name, vectorization_mode=mode, vector_kwargs=options)
     envs.reset(seed=0)
-    for _ in range(2):
-        steps = run_to_end(envs)
-        infos = steps[-1][4]
-        assert infos["_score"].all()
-        assert infos["score"][0].rmse > 0.0
-        assert "score" not in steps[-2][4]
-        if autoreset is AutoresetMode.SAME_STEP:
-            assert infos["final_info"]["score"][0] == infos["score"][0]
-        else:
-            envs.step(zeros(envs))
-    envs.close()
-
-
-@pytest.mark.parametrize("vector", [SyncVectorEnv, AsyncVectorEnv])
-def test_bare_sub_environments_are_scored_unless_they_restart_at_once(vector):
-    makers = [lambda: GaugeEnv(SLIDE)] * 2
-    envs = ScoreEpisodes(vector(makers))
-    envs.reset(seed=0)
-    scores = run_to_end(envs)[-1][4]["score"]
-    assert [score.kind for score in scores] == ["trials"] * 2
-    envs.close()
-    envs = ScoreEpisodes(vector(makers, autoreset_mode=AutoresetMode.SAME_STEP))
-    envs.reset(seed=0)
-    with pytest.raises(EpisodeError, match=r"gymnasium\.make"):
-        run_to_end(envs)
+    infos = run_to_end(envs)[-1][4]
+    if autoreset is AutoresetMode.SAME_STEP:
+        infos = infos["final_info"]
+    assert infos["_score"].all()
+    assert infos["score"][0].rmse > 0.0
     envs.close()

@@ -3,13 +3,13 @@
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 
 from gauge_envs.scene import Box, Motion, Pose, RigidBody, Scene
 from gauge_envs.scene.drivers import Driver, DriverMotion
 from gauge_envs.scene.geometry import BoolArray, FloatArray, IntArray, Vector
+from gauge_envs.scene.prescribed_motion import SimpleTargets
 from gauge_envs.scene.timing import (
     FRAME_RATE_HZ,
     SAMPLE_INTERVAL_S,
@@ -65,8 +65,7 @@ def with_box(scene: Scene, size_m: Vector, position_m: Vector, driver: Driver) -
 class Stage:
     """A body that actions accelerate along the coordinates of its driver, up to a rate, within a stroke, in N worlds.
 
-    A coordinate is a displacement [m] or an angle [rad]. The driver has translations alone or one rotation, so the
-    targets are products of few functions of the coordinates with a matrix.
+    A coordinate is a displacement [m] or an angle [rad].
 
     Args:
         scene: Scene with the body at its start; its one driver has no motion of its own.
@@ -108,50 +107,9 @@ class Stage:
         self.offsets, self.rates = np.zeros((2, *shape))
         self.speed_changes_left = np.full(shape[:2], speed_change)
         self.poses = np.zeros((*shape[:2], 7))
-        self._constant = np.zeros((world_count, 19))
-        self._turns = driver.motions[0].kind == "rotate"
-        self._values, self._gains = self._matrices(driver)
+        self._shifts_m = np.zeros((world_count, 3))
+        self._simple = SimpleTargets(driver, self._start)
         self.reset(worlds=np.ones(world_count, dtype=np.bool_))
-
-    def _matrices(self, driver: Driver) -> tuple[FloatArray, FloatArray]:
-        """Return the parts of targets by the functions in `_functions`, and by their gains in an interval.
-
-        At an angle t of a rotation, the position is centre + a cos t + b sin t. The arm a leads from the axis to the
-        body, and b = axis x a. The quaternion is q cos(t / 2) + p sin(t / 2) with p = (0, axis) q.
-        """
-        count, motion = self.motion_count, driver.motions[0]
-        values, gains = np.zeros((2, 8 if self._turns else 2 * count, 19))
-        means, accelerations = gains[:, 7:13], gains[:, 13:]
-        axes = np.array([each.axis for each in driver.motions])
-        if self._turns:
-            across = (self._start[:3] - motion.point_m) @ motion.cross_product
-            axes = np.array([-across @ motion.cross_product, across])
-            count = 2
-            values[2, 3:7] = self._start[3:]
-            values[3, 3:7] = self._start[3:] @ motion.quaternion_product
-            means[7, 3:] = np.array(motion.axis) / SAMPLE_INTERVAL_S
-            accelerations[6, 3:] = means[7, 3:]
-        values[:count, :3] = axes
-        means[:count, :3] = axes / SAMPLE_INTERVAL_S
-        rates = slice(4, 6) if self._turns else slice(count, None)
-        accelerations[rates, :3] = axes / SAMPLE_INTERVAL_S
-        # The mean velocity of the interval minus half of its gain is the velocity at its start.
-        means -= 0.5 * SAMPLE_INTERVAL_S * accelerations
-        return values, gains
-
-    def _functions(self) -> FloatArray:
-        """Return the functions of the coordinates at the samples, shape [7, N, function_count]."""
-        if not self._turns:
-            return np.concatenate([self.offsets, self.rates], axis=-1)
-        angles, rates = self.offsets[..., 0], self.rates[..., 0]
-        cosines, sines, halves = np.cos(angles), np.sin(angles), 0.5 * angles
-        return np.stack(
-            [
-                *(cosines, sines, np.cos(halves), np.sin(halves)),
-                *(-rates * sines, rates * cosines, rates, angles),
-            ],
-            axis=-1,
-        )
 
     def reset(
         self,
@@ -159,16 +117,13 @@ class Stage:
         start_poses: FloatArray | None = None,
         worlds: BoolArray | None = None,
     ) -> None:
-        """Return to the start in some worlds; see `gauge_envs.envs.rollout.Motion`. A rotation has one start."""
+        """Return to the start in some worlds, at other positions; see `gauge_envs.envs.rollout.Motion`."""
         chosen = slice(None) if worlds is None else worlds
         poses = self._start if start_poses is None else start_poses[chosen]
         self.offsets[:, chosen] = self.rates[:, chosen] = 0.0
         self.speed_changes_left[:, chosen] = self._speed_change
         self.poses[:, chosen] = poses
-        self._constant[chosen, :7] = poses
-        if self._turns:
-            self._constant[:, :7] = 0.0
-            self._constant[:, :3] = self._start[:3] - self._values[0, :3]
+        self._shifts_m[chosen] = (poses - self._start)[..., :3]
 
     def targets(
         self, first: int | IntArray, actions: FloatArray, count: int = SAMPLES_PER_FRAME
@@ -185,13 +140,10 @@ class Stage:
         """
         self.acceleration = actions * self._scale
         self._move(self.acceleration * SAMPLE_INTERVAL_S)
-        functions = self._functions()
-        # Bits of a product by BLAS would depend on the number of worlds.
-        product = partial(np.einsum, "snf,fk->snk")
-        states = product(functions, self._values) + self._constant
-        self.poses = states[..., :7]
-        gains = product(np.diff(functions, axis=0), self._gains)
-        return np.asarray(states[:-1] + gains)
+        targets, self.poses = self._simple.targets(self.offsets, self.rates)
+        targets[..., :3] += self._shifts_m
+        self.poses[..., :3] += self._shifts_m
+        return targets
 
     def _move(self, changes: FloatArray) -> None:
         """Advance coordinates and rates by a frame with a change of the rates in each interval, shape [N, M]."""
