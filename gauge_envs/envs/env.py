@@ -231,7 +231,9 @@ class GaugeEnv(GuardedEnv, gymnasium.Env[Observation, Any]):
         return {name: rows[0] for name, rows in observations.items()}
 
     def _info(self) -> dict[str, Any]:
-        return {**self.rollout.info(0), "reference": self.references.kind(0)}
+        rollout = self.rollout
+        info = {"frame": int(rollout.frames[0]), "time_s": float(rollout.times_s[0])}
+        return {**info, **rollout.info(0), "reference": self.references.kind(0)}
 
     @one_thread
     def trajectory(self) -> Trajectory:

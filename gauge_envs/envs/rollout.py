@@ -319,12 +319,15 @@ class Rollout:
             for name in self.rest_nodes_m
         }
 
+    @property
+    def times_s(self) -> FloatArray:
+        """Time since the start of each episode [s], shape [N]."""
+        return self.frames / FRAME_RATE_HZ
+
     def info(self, world: int) -> dict[str, Any]:
-        """Return the `info` of a world without its reference, see `GaugeEnv`."""
-        frame, experiment = int(self.frames[world]), self.experiment
+        """Return the `info` of a world without its frame, time and reference, see `GaugeEnv`."""
+        experiment = self.experiment
         info: dict[str, Any] = {
-            "frame": frame,
-            "time_s": frame / FRAME_RATE_HZ,
             "reference_source": experiment.reference_source.value,
             "drivers": experiment.drivers.value,
         }

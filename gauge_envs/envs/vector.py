@@ -108,7 +108,7 @@ class WorldsEnv(GuardedEnv, VectorEnv[Any, Any, NDArray[Any]], ABC):
 
     @abstractmethod
     def _info(self, world: int) -> dict[str, Any]:
-        """Return the `info` of a world, whose values are hashable."""
+        """Return the `info` of a world without frame and time; its values are hashable."""
 
     # --- episodes ---
 
@@ -251,7 +251,13 @@ class WorldsEnv(GuardedEnv, VectorEnv[Any, Any, NDArray[Any]], ABC):
 
     def _infos(self, worlds: BoolArray) -> dict[str, Any]:
         """Return the infos of some worlds."""
-        infos: dict[str, Any] = {}
+        rollout = self.rollout
+        infos: dict[str, Any] = {
+            "frame": np.where(worlds, rollout.frames, 0),
+            "time_s": np.where(worlds, rollout.times_s, 0.0),
+            "_frame": worlds.copy(),
+            "_time_s": worlds.copy(),
+        }
         # Nearly all worlds have the same entries.
         same: dict[tuple[tuple[str, Any], ...], list[int]] = {}
         for world in np.flatnonzero(worlds).tolist():

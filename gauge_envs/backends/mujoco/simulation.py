@@ -196,17 +196,18 @@ class SimulationMuJoCo(PlacedSimulation):
 
     def _step_worlds(self, thread: int, count: int) -> None:
         """Step the worlds of a thread."""
+        is_plain = not self._air and not any(self._force_readers)
         for world in range(thread, self.world_count, self._thread_count):
-            self._step(world, count)
+            if is_plain:
+                mujoco.mj_step(self.model, self.datas[world], nstep=count)
+            else:
+                self._step(world, count)
 
     def _step(self, world: int, count: int) -> None:
-        """Step one world."""
+        """Step one world with air or readers of forces."""
         readers = self._force_readers[world]
         for reader in readers:
             reader.clear()
-        if not self._air and not readers:
-            mujoco.mj_step(self.model, self.datas[world], nstep=count)
-            return
         for _ in range(count):
             for air in self._air:
                 air.apply()
@@ -317,26 +318,28 @@ class _FreeBody:
     ) -> None:
         views = [free_joint_views(model, data, name) for data in datas]
         self.places = [pose[:3] for pose, _ in views]
-        # Pose, its quaternion, and linear and angular velocity of each world.
-        self._views = [(pose, pose[3:], rate[:3], rate[3:]) for pose, rate in views]
+        self._poses = [pose for pose, _ in views]
+        self._quaternions = [pose[3:] for pose, _ in views]
+        self._rates = [rate for _, rate in views]
+        self._spins = [rate[3:] for _, rate in views]
 
     def write(self, world: int, state: FloatArray) -> None:
         """Write an initial state of a world, shape [13]."""
-        pose, quaternion, linear, angular = self._views[world]
-        pose[:3] = state[:3]
-        quaternion[:] = unit_quaternions(state[3:7])
-        linear[:] = state[7:10]
+        quaternion = unit_quaternions(state[3:7])
+        self.places[world][:] = state[:3]
+        self._quaternions[world][:] = quaternion
+        self._rates[world][:3] = state[7:10]
         # MuJoCo keeps a free joint's angular velocity in the body frame.
-        mujoco.mju_rotVecQuat(angular, state[10:], CONJUGATE * quaternion)
+        back = CONJUGATE * quaternion
+        mujoco.mju_rotVecQuat(self._spins[world], state[10:], back)
 
     def read(self, states: FloatArray) -> None:
         """Write the states of the body to an array, shape [N, 13]."""
-        parts = states[:, :7], states[:, 7:10], states[:, 10:]
-        for views, poses, speeds, spins in zip(self._views, *parts, strict=True):
-            pose, quaternion, linear, angular = views
-            poses[:] = pose
-            speeds[:] = linear
-            mujoco.mju_rotVecQuat(spins, angular, quaternion)
+        states[:, :7] = np.concatenate(self._poses).reshape(-1, 7)
+        states[:, 7:10] = np.concatenate(self._rates).reshape(-1, 6)[:, :3]
+        rows = zip(states[:, 10:], self._spins, self._quaternions, strict=True)
+        for spin, inner, quaternion in rows:
+            mujoco.mju_rotVecQuat(spin, inner, quaternion)
 
 
 class _DrivenBody(_FreeBody):
@@ -352,22 +355,21 @@ class _DrivenBody(_FreeBody):
 
     def drive(self, targets: FloatArray) -> None:
         """Write the targets of `Simulation.drive`, shape [N, 19]."""
+        rates = targets[:, 7:13].copy()
+        # A body that only translates has no spin to rotate into its frame.
+        if rates[:, 3:].any():
+            back = targets[:, 3:7] * CONJUGATE
+            for inner, spin, quaternion in zip(
+                rates[:, 3:], targets[:, 10:13], back, strict=True
+            ):
+                mujoco.mju_rotVecQuat(inner, spin, quaternion)
         # The mass and all moments of inertia of a driven body are the same number.
-        rows = zip(
-            self._views,
-            self._forces,
-            targets[:, :7],
-            targets[:, 7:10],
-            targets[:, 10:13],
-            targets[:, 3:7] * CONJUGATE,
-            self._mass_kg * targets[:, 13:],
-            strict=True,
-        )
-        for views, force, place, speed, spin, back, push in rows:
-            pose, _, linear, angular = views
+        forces = self._mass_kg * targets[:, 13:]
+        own = zip(self._poses, self._rates, self._forces, strict=True)
+        given = zip(targets[:, :7], rates, forces, strict=True)
+        for (pose, rate, force), (place, speed, push) in zip(own, given, strict=True):
             pose[:] = place
-            linear[:] = speed
-            mujoco.mju_rotVecQuat(angular, spin, back)
+            rate[:] = speed
             force[:] = push
 
 

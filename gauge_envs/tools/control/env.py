@@ -329,11 +329,6 @@ class ControlTask(GuardedEnv, ABC):
     # --- episodes ---
 
     @property
-    def times_s(self) -> FloatArray:
-        """Time since the start of each episode [s], shape [N]."""
-        return self.rollout.frames / FRAME_RATE_HZ
-
-    @property
     def over(self) -> BoolArray:
         """Which episodes have ended, shape [N]."""
         return np.array([ending is not None for ending in self.endings])
@@ -435,9 +430,8 @@ class ControlTask(GuardedEnv, ABC):
         return np.column_stack(self._observed())
 
     def info(self, world: int) -> dict[str, Any]:
-        """Return the `info` of a world, see `ControlEnv`."""
-        frame = int(self.rollout.frames[world])
-        info: dict[str, Any] = {"frame": frame, "time_s": frame / FRAME_RATE_HZ}
+        """Return the `info` of a world without frame and time, see `ControlEnv`."""
+        info: dict[str, Any] = {}
         if world in self.rollout.diverged:
             info["diverged"] = self.rollout.diverged[world]
         if self.endings[world] is not None:
@@ -462,7 +456,7 @@ class ControlTask(GuardedEnv, ABC):
             limit=self.limit(world),
             reached=0.0 if ending in FAILED else self._reached(world),
             ending=ending,
-            time_s=float(self.times_s[world]),
+            time_s=float(self.rollout.times_s[world]),
         )
 
 
@@ -576,7 +570,7 @@ class ControlEnv(GuardedEnv, gymnasium.Env[FloatArray, NDArray[np.float32]]):
         draw = self.task.initial_states.of_reset(options, seeded=seed is not None)
         self.task.start(np.ones(1, np.bool_), draw, [self.np_random], seed or 0)
         self._observations = []
-        return self._observe(), self.task.info(0)
+        return self._observe(), self._info()
 
     @one_thread
     def step(self, action: Any) -> tuple[FloatArray, float, bool, bool, dict[str, Any]]:
@@ -596,8 +590,12 @@ class ControlEnv(GuardedEnv, gymnasium.Env[FloatArray, NDArray[np.float32]]):
             float(reward),
             bool(terminated),
             bool(truncated),
-            task.info(0),
+            self._info(),
         )
+
+    def _info(self) -> dict[str, Any]:
+        frame, time_s = int(self.rollout.frames[0]), float(self.rollout.times_s[0])
+        return {"frame": frame, "time_s": time_s, **self.task.info(0)}
 
     def _observe(self) -> FloatArray:
         """Record and return the observation, and draw it if there is a window."""

@@ -141,7 +141,7 @@ class FlingLimit(ControlTask):
             self._rates,
             self._left_m_per_s,
             self._highest_m / self.limits,
-            self.times_s,
+            self.rollout.times_s,
         ]
 
     def _reached(self, world: int) -> float:

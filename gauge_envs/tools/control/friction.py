@@ -180,7 +180,7 @@ class FrictionLimit(CubeLimit):
             self._rates[:, 0],
             self._used_now,
             self._slip_m_per_s / SLIP_SPEED_M_PER_S,
-            self.times_s,
+            self.rollout.times_s,
         ]
 
     def _reached(self, world: int) -> float:
@@ -253,7 +253,7 @@ class SlopeSliderLimit(FrictionLimit):
         half_s = 0.5 * SLOPE_RAMP_S
         tilt_rad = math.atan(fraction * self.limits[world])
         command = tilt_rad / half_s**2 / self.ACCELERATION
-        time_s = self.times_s[world]
+        time_s = self.rollout.times_s[world]
         if time_s < half_s:
             return command
         return -command if time_s < SLOPE_RAMP_S else 0.0

@@ -134,7 +134,7 @@ class PendulumLimit(ControlTask):
     def _observed(self) -> list[FloatArray]:
         highest = self._highest_m / self._target_m
         work = self._work_j / self._least_work_j
-        return [self._angle, self._rate, highest, work, self.times_s]
+        return [self._angle, self._rate, highest, work, self.rollout.times_s]
 
     def _reached(self, world: int) -> float:
         return self._target_m / float(self._work_j[world])

@@ -220,7 +220,7 @@ class ThrowLimit(ControlTask):
             self._offsets[:, 1],
             self._rates,
             self._impacts,
-            self.times_s,
+            self.rollout.times_s,
         ]
 
     def _reached(self, world: int) -> float:

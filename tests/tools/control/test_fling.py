@@ -51,7 +51,7 @@ def test_the_laws_policy_reaches_more_than_half(env):
 
 def test_a_spent_rod_moves_on_and_an_end_of_the_stroke_loses(env):
     def spending(_):
-        phase = np.searchsorted([0.3, 0.9], env.task.times_s[0], side="right")
+        phase = np.searchsorted([0.3, 0.9], env.rollout.times_s[0], side="right")
         return np.array([[1.0, -1.0, 0.3][phase]])
 
     play(env, spending)

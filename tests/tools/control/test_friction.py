@@ -70,7 +70,7 @@ def test_no_policy_earns_more_than_the_law(name):
     random = np.random.default_rng(0)
 
     def dither(_):
-        share = 0.97 if env.task.times_s[0] < 3.0 else random.uniform(0.92, 1.06)
+        share = 0.97 if env.rollout.times_s[0] < 3.0 else random.uniform(0.92, 1.06)
         return env.law_action(share)
 
     slip = SLIP_SPEED_M_PER_S / (math.cos(0.27) * GRAVITY_M_PER_S2 * HOLD_S)

@@ -110,7 +110,9 @@ def test_no_motion_beats_the_law(task):
         share, noise = random.uniform(0.9, 1.1), random.uniform(0.0, 0.1)
 
         def policy(_, share=share, noise=noise):
-            noisy = random.normal(0.0, noise if env.task.times_s[0] < 0.2 else 0.0, 2)
+            noisy = random.normal(
+                0.0, noise if env.rollout.times_s[0] < 0.2 else 0.0, 2
+            )
             return np.clip(env.law_action(share) + noisy, -1.0, 1.0)
 
         paid, report = play_paid(env, policy, seed=seed)
