@@ -110,6 +110,7 @@ class SimulationMuJoCo(PlacedSimulation):
         self._options = model.opt
         self._warnings = [data.warning.number for data in self.datas]
         self._driven: dict[str, _DrivenBody] = {}
+        self._places: dict[tuple[str, ...], list[FloatArray]] = {}
         self._thread_count = min(processor_count(), world_count)
         self._threads = None
         if self._thread_count > 1:
@@ -185,14 +186,22 @@ class SimulationMuJoCo(PlacedSimulation):
     def advance(self, seconds: float) -> None:
         """Step the model in all worlds."""
         count = round(seconds / self.timestep_s)
+        # Access to the options takes as long as a drive.
+        if self._folds is None:
+            self._step_all(count)
+            return
         flags = self._options.disableflags
-        if self._folds is not None and self._folds.stays_apart(count * self.timestep_s):
+        if self._folds.stays_apart(count * self.timestep_s):
             no_contact = mujoco.mjtDisableBit.mjDSBL_CONTACT
             self._options.disableflags = flags | no_contact
+        self._step_all(count)
+        self._options.disableflags = flags
+
+    def _step_all(self, count: int) -> None:
+        """Step all worlds in threads."""
         apply = map if self._threads is None else self._threads.map
         # One call per thread. Reading the results of the map raises the errors of its calls.
         list(apply(self._step_worlds, range(self._thread_count), repeat(count)))
-        self._options.disableflags = flags
 
     def _step_worlds(self, thread: int, count: int) -> None:
         """Step the worlds of a thread."""
@@ -236,12 +245,16 @@ class SimulationMuJoCo(PlacedSimulation):
 
     def body_positions(self, names: Sequence[str]) -> FloatArray:
         """Return the positions of bodies [m], shape [N, len(names), 3]."""
-        bodies = [self._moving.get(name) for name in names]
-        free = [body for body in bodies if isinstance(body, _FreeBody)]
-        if len(free) < len(bodies):
+        key = tuple(names)
+        if key not in self._places:
+            bodies = [self._moving.get(name) for name in key]
+            free = [body.places for body in bodies if isinstance(body, _FreeBody)]
+            by_world = [place for places in zip(*free, strict=True) for place in places]
+            self._places[key] = by_world if len(free) == len(bodies) else []
+        places = self._places[key]
+        if not places:
             return super().body_positions(names)
-        places = np.concatenate([place for body in free for place in body.places])
-        return places.reshape(len(free), -1, 3).transpose(1, 0, 2)
+        return np.concatenate(places).reshape(self.world_count, -1, 3)
 
     def nodes(self, name: str) -> FloatArray:
         """Return the nodes of a deformable body [m], shape [1, node_count, 3]."""
