@@ -9,7 +9,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from os import PathLike
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from gymnasium import spaces
@@ -43,8 +43,10 @@ from gauge_envs.references.band import Band
 from gauge_envs.references.user_data import DataSource
 from gauge_envs.scene.geometry import BoolArray, FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
-from gauge_envs.scoring.score import Score
 from gauge_envs.validation import chosen
+
+if TYPE_CHECKING:
+    from gauge_envs.scoring.score import Score
 
 Step = tuple[
     Observation,
