@@ -328,11 +328,6 @@ class ControlTask(GuardedEnv, ABC):
 
     # --- episodes ---
 
-    @property
-    def over(self) -> BoolArray:
-        """Which episodes have ended, shape [N]."""
-        return np.array([ending is not None for ending in self.endings])
-
     def start(
         self,
         worlds: BoolArray,
@@ -387,7 +382,7 @@ class ControlTask(GuardedEnv, ABC):
         rewards, self._rewarded = total - self._rewarded, total
         for world in self.rollout.diverged:
             self.endings[world], rewards[world] = Ending.DIVERGED, 0.0
-        terminated = self.over
+        terminated = np.array([ending is not None for ending in self.endings])
         truncated = self.rollout.is_complete & ~terminated
         for world in np.flatnonzero(truncated).tolist():
             self.endings[world] = self.TIME_LIMIT_ENDING
