@@ -7,8 +7,8 @@ matter little. Times of threads are wall times and need an idle machine; a busy 
 
 Limits with a reason:
 
-- episodes in training: MuJoCo takes 50 to 900 us for a frame there, as long as 60 calls of NumPy. Turntable-Limit-wood
-  exceeds the limit, because its frame takes less time than the Python that drives and reads it.
+- steps in training: MuJoCo takes 20 to 900 us for a frame there, as long as 60 calls of NumPy. A single world of a
+  control task takes longer than MuJoCo, because its arrays are those of many worlds.
 - dynamic time warping: dtaidistance is a loop in C. Here it is NumPy.
 """
 
@@ -39,16 +39,22 @@ from gauge_envs.scoring.metrics import trajectory_dtw
 BUSY = 0.3
 """Load of the machine above which wall times are not measured."""
 
-EPISODES = (
-    "SlopeSlider-3-wood",
-    "Turntable-Limit-wood",
-    "TextileStretching-satin",
-    "TextileFlinging-satin",
-    "FoamShearing-soft",
-)
+STEPS = {
+    "SlopeSlider-3-wood": (0, 64),
+    "BouncingBall-rubber": (64,),
+    "Turntable-Limit-wood": (0, 64),
+    "Throw-Limit-rubber": (0, 64),
+    "Push-Limit-wood": (0, 64),
+    "Fling-Limit-satin": (0,),
+    "TextileStretching-satin": (0,),
+    "TextileFlinging-satin": (0,),
+    "FoamShearing-soft": (0,),
+}
+"""Numbers of worlds by id, 0 for a single environment."""
 
-PRESETS = {"training": 1.3, "default": 1.05}
-"""Limits of an episode over the bare engine."""
+SINGLE_LIMIT, BATCH_LIMIT, CONTROL_LIMIT, DEFAULT_LIMIT = 1.6, 1.3, 2.5, 1.15
+"""Limits of a step over the time within `mj_step`: training in one world, in 64, control tasks in 64, and the default
+preset."""
 
 WARPING_LIMIT = 6.0
 """Limit of dynamic time warping over compiled libraries."""
@@ -147,21 +153,23 @@ def _comparing(result: dict[str, object]) -> Row:
     return Row(f"gauge compare, {RESULT_COUNT} results / json", compare_s / read_s, 10)
 
 
-def episodes() -> Iterator[Row]:
-    """Yield the cost of an episode over the bare engine."""
-    for preset, limit in PRESETS.items():
-        for name in EPISODES:
-            ratio = episode_cost.episode_ratio(name, preset, budget_s=2.0)
-            yield Row(f"episode / engine, {preset}, {name}", ratio, limit)
+def steps() -> Iterator[Row]:
+    """Yield the cost of a step over the time within `mj_step`."""
+    for name, counts in STEPS.items():
+        for count in counts:
+            limit = BATCH_LIMIT if count else SINGLE_LIMIT
+            if count and "Limit" in name:
+                limit = CONTROL_LIMIT
+            yield _step(name, "training", count, limit)
+    for name in ("SlopeSlider-3-wood", "TextileStretching-satin"):
+        yield _step(name, "default", 0, DEFAULT_LIMIT)
 
 
-def many_worlds() -> Iterator[Row]:
-    """Yield the Python time of a step per world of many worlds, as a multiple of that of a single environment."""
-    name = "SlopeSlider-3-wood"
-    single_s = episode_cost.python_s(name, 0, 40, budget_s=2.0)
-    for count, steps in ((64, 10), (1024, 1)):
-        ratio = episode_cost.python_s(name, count, steps, budget_s=1.0) / single_s
-        yield Row(f"Python, {count} worlds / one, {name}", ratio, 0.5)
+def _step(name: str, preset: str, count: int, limit: float) -> Row:
+    total_s, engine_s = episode_cost.step_cost(name, preset, count, budget_s=2.0)
+    what = f"step / mj_step, {preset}, {name}, {count or 'single'}"
+    print(f"{what}: {1e6 * total_s:.0f} us, {1.0 / total_s:.0f} steps a second")
+    return Row(what, total_s / engine_s, limit)
 
 
 def warping() -> Iterator[Row]:
@@ -207,8 +215,7 @@ def _step_s(name: str, world_count: int, thread_count: str) -> float:
 
 PARTS: dict[str, Callable[[], Iterator[Row]]] = {
     "startup": startup,
-    "episodes": episodes,
-    "worlds": many_worlds,
+    "steps": steps,
     "threads": threads,
     "warping": warping,
 }

@@ -74,7 +74,7 @@ class Replay:
 def make_task(task: str, **arguments: Any) -> ControlEnv:
     """Return the environment of a control task without wrappers."""
     env = gym.make(f"GAUGE/{task}", **arguments).unwrapped
-    if not isinstance(env, FrictionLimit):
+    if not isinstance(env.task, FrictionLimit):
         raise typer.BadParameter(
             f"{task} is not one of the tasks with friction: Turntable-Limit-*, SlopeSlider-Limit-*"
         )
@@ -116,7 +116,7 @@ def train(task: str, settings: Mapping[str, Any], steps: int, *, hide_slip: bool
 
 def replays(task: str, policy: Policy, training: Training) -> list[Replay]:
     """Replay the policy as trained, where contacts follow the law, and at the edges of the measured friction."""
-    limit = make_task(task).limit
+    limit = make_task(task).task.limit()
     worlds: dict[str, dict[str, Any]] = {
         f"MuJoCo, {training.value}: as trained": {"settings": SETTINGS[training]},
         "MuJoCo, default": {},

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from enum import StrEnum
+from enum import Enum
 from typing import TYPE_CHECKING, TypeVar
 
 from gauge_envs.errors import ParameterError
@@ -10,10 +10,10 @@ from gauge_envs.errors import ParameterError
 if TYPE_CHECKING:
     from pydantic import ValidationError
 
-Choice = TypeVar("Choice", bound=StrEnum)
+Choice = TypeVar("Choice", bound=Enum)
 
 
-def chosen(kind: type[Choice], value: str, name: str) -> Choice:
+def chosen(kind: type[Choice], value: Choice | str, name: str) -> Choice:
     """Return the member of a closed set for the value of an argument.
 
     Args:
@@ -24,7 +24,7 @@ def chosen(kind: type[Choice], value: str, name: str) -> Choice:
     Raises:
         ParameterError: The set has no such member; the message lists its members.
     """
-    if value not in tuple(kind):
+    if not isinstance(value, kind) and value not in [member.value for member in kind]:
         raise ParameterError(
             f"{name} {value!r}: choose {' or '.join(repr(member.value) for member in kind)}"
         )

@@ -79,6 +79,8 @@ class Backend(ABC):
         worlds_share_simulation: Whether an overridden `build_worlds` advances all worlds together. A sweep runs the
             repeats of such an engine in one batch. It runs the repeats of other engines one after another, so that an
             interrupted sweep loses less.
+        restarts_worlds: Whether the `reset` of an overridden `build_worlds` takes `worlds`. Vector environments loop
+            over simulations of one world of any other engine.
     """
 
     name: ClassVar[str]
@@ -90,6 +92,7 @@ class Backend(ABC):
     features: ClassVar[frozenset[Feature]] = frozenset()
     own_defaults: ClassVar[frozenset[str]] = frozenset({"out_of_box"})
     worlds_share_simulation: ClassVar[bool] = True
+    restarts_worlds: ClassVar[bool] = False
 
     def whose_physics(self, preset: str) -> str:
         """Return whose physics a preset shows: `own defaults`, `own options`, or `corrected` by this package."""
@@ -141,9 +144,8 @@ class Backend(ABC):
         """
         if world_count == 1:
             return self.build(scene, settings)
-        return LoopedSimulation(
-            [self.build(scene, settings) for _ in range(world_count)]
-        )
+        worlds = [self.build(scene, settings) for _ in range(world_count)]
+        return LoopedSimulation(worlds)
 
     def resolved_settings(
         self, scene: Scene, settings: Mapping[str, Any] | None = None

@@ -16,7 +16,7 @@ import numpy as np
 
 from gauge_envs.errors import BackendError
 from gauge_envs.processors import processor_count
-from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene.geometry import BoolArray, FloatArray
 
 ContactForces = Callable[[], FloatArray]
 """Reader of contact forces [N], which returns a new array of shape [world_count, pair_count, 3]."""
@@ -42,8 +42,13 @@ class Simulation(ABC):
     """Whether `advance` runs without Python's lock, so that `LoopedSimulation` advances several in as many threads."""
 
     @abstractmethod
-    def reset(self, starts: FloatArray | None = None, seed: int = 0) -> None:
-        """Start all worlds at time 0. The same starts and seed give the same trajectories.
+    def reset(
+        self,
+        starts: FloatArray | None = None,
+        seed: int = 0,
+        worlds: BoolArray | None = None,
+    ) -> None:
+        """Start worlds at time 0. The same starts and seed give the same trajectories.
 
         Args:
             starts: Initial states, shape [N, B, 13], in the order of `scene.bodies` followed by `scene.deformables`.
@@ -51,6 +56,8 @@ class Simulation(ABC):
                 row of a cloth holds the pose of its frame. All other rows equal the scene. None is the nominal start,
                 see `gauge_envs.scene.states.nominal_states`.
             seed: Seed of engines that draw random numbers.
+            worlds: Which worlds start, shape [N]; the others continue. None is all. Environments pass it only to an
+                engine with `Backend.restarts_worlds`, so any other engine may leave the argument out.
         """
 
     def drive(self, body: str, targets: FloatArray) -> None:
@@ -85,6 +92,10 @@ class Simulation(ABC):
         Args:
             names: Names of rigid bodies; fixed and driven bodies are allowed.
         """
+
+    def body_positions(self, names: Sequence[str]) -> FloatArray:
+        """Return the current positions of rigid bodies [m], shape [N, len(names), 3]; environments read them most."""
+        return self.body_states(names)[:, :, :3]
 
     def nodes(self, name: str) -> FloatArray:
         """Return the nodes of a deformable body [m], shape [N, node_count, 3]."""
@@ -160,10 +171,17 @@ class LoopedSimulation(Simulation):
         is_threaded = simulations[0].releases_gil and thread_count > 1
         self._threads = ThreadPoolExecutor(thread_count) if is_threaded else None
 
-    def reset(self, starts: FloatArray | None = None, seed: int = 0) -> None:
-        """Start each world."""
+    def reset(
+        self,
+        starts: FloatArray | None = None,
+        seed: int = 0,
+        worlds: BoolArray | None = None,
+    ) -> None:
+        """Start each world, or some of them."""
         for number, world in enumerate(self._simulations):
-            world.reset(None if starts is None else starts[number : number + 1], seed)
+            if worlds is None or worlds[number]:
+                start = None if starts is None else starts[number : number + 1]
+                world.reset(start, seed)
 
     def drive(self, body: str, targets: FloatArray) -> None:
         """Prescribe the motion of a body in each world."""

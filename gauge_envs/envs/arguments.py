@@ -97,11 +97,14 @@ class EnvArguments:
             asset=self.asset,
         )
 
-    def rollout(self, experiments: Sequence[Experiment]) -> Rollout:
+    def rollout(
+        self, experiments: Sequence[Experiment], *, restarts: bool = False
+    ) -> Rollout:
         """Return the rollout of a new simulation.
 
         Args:
             experiments: The experiment of each world, which may differ in constants.
+            restarts: Whether each world can be reset alone.
 
         Raises:
             UnsupportedSceneError: The backend cannot build a scene.
@@ -109,26 +112,33 @@ class EnvArguments:
         """
         return Rollout(
             experiments,
-            self.simulation(experiments),
+            self.simulation(experiments, restarts=restarts),
             marker_proxy=self.proxy,
         )
 
-    def simulation(self, experiments: Sequence[Experiment]) -> Simulation:
+    def simulation(
+        self, experiments: Sequence[Experiment], *, restarts: bool = False
+    ) -> Simulation:
         """Build a world for each experiment, in one simulation; see `rollout`."""
         distinct = {id(experiment): experiment for experiment in experiments}
         for experiment in distinct.values():
             check_support(experiment, self.backend)
         engine = backend_for(self.backend, experiments[0].model_file)
-        scene = experiments[0].scene
-        simulation: Simulation
-        if all(experiment.scene is scene for experiment in experiments):
-            simulation = engine.build_worlds(scene, len(experiments), self.settings)
-        else:
-            scenes = [experiment.scene for experiment in experiments]
-            simulation = LoopedSimulation(
-                [engine.build(scene, self.settings) for scene in scenes]
-            )
-        return in_intervals(simulation, scene)
+        scenes = [experiment.scene for experiment in experiments]
+        scene, count = scenes[0], len(scenes)
+        is_batch = all(each is scene for each in scenes) and (
+            count == 1 or engine.restarts_worlds or not restarts
+        )
+        if is_batch:
+            batch = engine.build_worlds(scene, count, self.settings)
+            simulation = in_intervals(batch, scene)
+            if simulation is batch or count == 1 or not restarts:
+                return simulation
+            batch.close()
+        worlds = [
+            in_intervals(engine.build(each, self.settings), each) for each in scenes
+        ]
+        return LoopedSimulation(worlds)
 
 
 def check_episode_steps(asked: int | None, steps: int) -> None:

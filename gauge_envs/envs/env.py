@@ -222,7 +222,7 @@ class GaugeEnv(GuardedEnv, gymnasium.Env[Observation, Any]):
         rollout.step(checked[None])
         self._show()
         terminated = 0 in rollout.diverged
-        truncated = rollout.is_complete and not terminated
+        truncated = bool(rollout.is_complete[0]) and not terminated
         reward = float(self.references.rewards()[0])
         return self._observation(), reward, terminated, truncated, self._info()
 
@@ -231,7 +231,9 @@ class GaugeEnv(GuardedEnv, gymnasium.Env[Observation, Any]):
         return {name: rows[0] for name, rows in observations.items()}
 
     def _info(self) -> dict[str, Any]:
-        return {**self.rollout.info(0), "reference": self.references.kind(0)}
+        rollout = self.rollout
+        info = {"frame": int(rollout.frames[0]), "time_s": float(rollout.times_s[0])}
+        return {**info, **rollout.info(0), "reference": self.references.kind(0)}
 
     @one_thread
     def trajectory(self) -> Trajectory:
@@ -240,7 +242,7 @@ class GaugeEnv(GuardedEnv, gymnasium.Env[Observation, Any]):
         Raises:
             EpisodeError: The environment was not reset.
         """
-        if self.rollout.frame is None:
+        if not self.rollout.has_begun:
             raise EpisodeError(f"{self.experiment.id}: no trajectory before reset")
         return self.rollout.recording.trajectory()
 
@@ -251,7 +253,7 @@ class GaugeEnv(GuardedEnv, gymnasium.Env[Observation, Any]):
         The score of a diverged episode has no numbers.
         """
         self._check_open("score")
-        if self.rollout.frame is None or not self.rollout.is_over[0]:
+        if not self.rollout.has_begun or not self.rollout.is_over[0]:
             return None
         return self.references.score()
 
@@ -289,5 +291,5 @@ class GaugeEnv(GuardedEnv, gymnasium.Env[Observation, Any]):
 
     def _check_started(self, call: str) -> None:
         self._check_open(call)
-        if self.rollout.frame is None:
+        if not self.rollout.has_begun:
             raise EpisodeError(f"{self.experiment.id}: call reset before {call}")

@@ -176,7 +176,7 @@ def rollout_picture(
         rollout.experiment,
         rollout.rest_nodes_m,
         band=bands[0],
-        poses=rollout.recording.poses(world),
-        nodes_m=rollout.recording.nodes_m(world),
+        poses=rollout.poses(world),
+        nodes_m=rollout.nodes_m(world),
         overlay=overlay,
     )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,7 +16,7 @@ from gauge_envs.observables.observer import (
     ObserverMarkers,
     ObserverPositions,
 )
-from gauge_envs.scene.geometry import BoolArray, FloatArray
+from gauge_envs.scene.geometry import BoolArray, FloatArray, IntArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLE_INTERVAL_S, SAMPLES_PER_FRAME
 
 
@@ -43,26 +42,27 @@ class Trajectory:
 
 
 class EpisodeRecording:
-    """Recorded motion of N worlds, which start together.
+    """Recorded motion of N worlds.
 
     Args:
         experiment: The experiment of the worlds.
         simulation: The worlds, at the nominal start.
+        frames: Current frame of each world, which the rollout counts, shape [N].
         marker_proxy: Marker proxy of deformable bodies: material point or nearest node.
-
-    Attributes:
-        last_frames: Last recorded frame of each world, shape [N].
     """
 
     def __init__(
-        self, experiment: Experiment, simulation: Simulation, marker_proxy: MarkerProxy
+        self,
+        experiment: Experiment,
+        simulation: Simulation,
+        frames: IntArray,
+        marker_proxy: MarkerProxy,
     ) -> None:
         scene, observable = experiment.scene, experiment.score.observable
         self._simulation = simulation
         self._dynamic = [body.name for body in scene.dynamic_bodies]
         self._driven = [driver.body for driver in scene.drivers]
         self._recorded = [self._dynamic.index(name) for name in experiment.recorded]
-        self._deformables = [body.name for body in scene.deformables]
         self._observer: Observer
         if observable is Observable.POSITION:
             self._observer = ObserverPositions(experiment.recorded)
@@ -78,53 +78,58 @@ class EpisodeRecording:
         self._bodies = np.full((*rows, len(self._recorded), 13), np.nan)
         self._markers_m = np.full((*rows, self._observer.marker_count, 3), np.nan)
         self._drivers = np.full((*rows, len(self._driven), 13), np.nan)
-        self.last_frames = np.zeros(rows[1], dtype=np.intp)
+        self._frames = frames
+        self._worlds = np.arange(rows[1])
 
-    def start(self) -> None:
-        """Record frame 0, and forget the episodes before."""
+    def start(self, worlds: BoolArray) -> None:
+        """Record frame 0 of worlds, shape [N], and forget their episodes before."""
         points_m = self._observer.read(self._simulation)[None]
-        self._samples[:1], self._markers_m[:1] = self._observer.observe(points_m)
-        self.last_frames[:] = 0
-        self._record_states(0)
+        g, markers_m = self._observer.observe(points_m)
+        self._samples[0, worlds] = g[0, worlds]
+        self._markers_m[0, worlds] = markers_m[0, worlds]
+        self._record_states(worlds)
 
     def read_points(self, interval: int) -> None:
         """Read the observed points after an interval of a frame, from 0 to 5."""
         self._points_m[interval] = self._observer.read(self._simulation)
 
-    def end_frame(self, frame: int, is_running: BoolArray) -> FloatArray:
-        """Record a frame after its six intervals.
+    def end_frame(self, is_running: BoolArray) -> FloatArray:
+        """Record the current frame of worlds after its six intervals.
 
         Args:
-            frame: Number of the frame.
-            is_running: Which worlds have not ended, shape [N].
+            is_running: Which worlds had not ended before this frame, shape [N].
 
         Returns:
             States of the dynamic bodies, shape [N, body_count, 13].
         """
         g, markers_m = self._observer.observe(self._points_m)
-        last = frame * SAMPLES_PER_FRAME
-        self._samples[last + 1 - SAMPLES_PER_FRAME : last + 1] = g
-        self._markers_m[frame] = markers_m[-1]
-        self.last_frames[is_running] = frame
-        return self._record_states(frame)
+        worlds, frames = self._worlds[is_running], self._frames[is_running]
+        before = np.arange(1 - SAMPLES_PER_FRAME, 1)[:, None]
+        self._samples[frames * SAMPLES_PER_FRAME + before, worlds] = g[:, worlds]
+        self._markers_m[frames, worlds] = markers_m[-1, worlds]
+        return self._record_states(is_running)
 
-    def _record_states(self, frame: int) -> FloatArray:
-        """Record the states at a frame, and return those of the dynamic bodies, shape [N, body_count, 13]."""
+    def _record_states(self, chosen: BoolArray) -> FloatArray:
+        """Record the states of worlds, and return those of all dynamic bodies, shape [N, body_count, 13]."""
         states = self._simulation.body_states(self._dynamic)
-        self._bodies[frame] = states.take(self._recorded, axis=1)
+        worlds, frames = self._worlds[chosen], self._frames[chosen]
+        self._bodies[frames, worlds] = states[worlds].take(self._recorded, axis=1)
         if self._driven:
-            self._drivers[frame] = self._simulation.body_states(self._driven)
+            driven = self._simulation.body_states(self._driven)
+            self._drivers[frames, worlds] = driven[worlds]
         return states
 
-    def compared_at(self, frame: int) -> tuple[FloatArray, FloatArray]:
-        """Return g(t) at a frame, shape [N, coordinate_count], and the markers [m], shape [N, marker_count, 3]."""
-        return self._samples[frame * SAMPLES_PER_FRAME], self._markers_m[frame]
+    def compared(self) -> tuple[FloatArray, FloatArray]:
+        """Return g(t) now, shape [N, coordinate_count], and the markers [m], shape [N, marker_count, 3]."""
+        return self._last(self._samples[::SAMPLES_PER_FRAME]), self._last(
+            self._markers_m
+        )
 
     def observation(self) -> Observation:
         """Return the observations of all worlds in new arrays; a world that has ended keeps its last observation."""
         observation = {
             "observable": self._last(self._samples[::SAMPLES_PER_FRAME]),
-            "time": self.last_frames[:, None] / FRAME_RATE_HZ,
+            "time": self._frames[:, None] / FRAME_RATE_HZ,
         }
         if self._recorded:
             observation["bodies"] = self._last(self._bodies)
@@ -136,11 +141,11 @@ class EpisodeRecording:
 
     def _last(self, rows: FloatArray) -> FloatArray:
         """Return the last frame of each world in a new array, from rows of shape [frame_count, N, ...]."""
-        return np.asarray(rows[self.last_frames, np.arange(len(self.last_frames))])
+        return np.asarray(rows[self._frames, self._worlds])
 
     def trajectory(self, world: int = 0) -> Trajectory:
         """Return the recorded motion of a world so far."""
-        frame = int(self.last_frames[world])
+        frame = int(self._frames[world])
         end = frame * SAMPLES_PER_FRAME + 1
         samples = self._samples[:end, world].copy()
         return Trajectory(
@@ -157,20 +162,7 @@ class EpisodeRecording:
         Samples after the end of a world are NaN.
         """
         numbers = np.arange(len(self._samples))
-        is_reached = numbers[:, None] <= self.last_frames * SAMPLES_PER_FRAME
+        is_reached = numbers[:, None] <= self._frames * SAMPLES_PER_FRAME
         samples = np.where(is_reached[:, :, None], self._samples, np.nan)
         times_s = SAMPLE_INTERVAL_S * numbers.astype(np.float64)
         return times_s, samples.transpose(1, 0, 2)
-
-    def poses(self, world: int = 0) -> Mapping[str, FloatArray]:
-        """Return the pose of each rigid body that moves now: position [m] and quaternion w x y z, shape [7]."""
-        names = [*self._dynamic, *self._driven]
-        poses = self._simulation.body_states(names)[world, :, :7]
-        return dict(zip(names, poses, strict=True))
-
-    def nodes_m(self, world: int = 0) -> Mapping[str, FloatArray]:
-        """Return the nodes of each deformable body now [m], shape [node_count, 3]."""
-        return {
-            name: self._simulation.nodes(name)[world].copy()
-            for name in self._deformables
-        }

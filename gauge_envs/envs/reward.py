@@ -6,7 +6,7 @@ import numpy as np
 
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.references.band import MARKER_SIGMA_MM, Band
-from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene.geometry import FloatArray, IntArray
 
 
 def is_reward_bounded(experiment: Experiment) -> bool:
@@ -35,13 +35,13 @@ class Reward:
         width = len(self._projection)
         self._is_projected = not np.array_equal(self._projection, np.eye(width))
 
-    def of(self, frame: int, g: FloatArray, markers_m: FloatArray) -> FloatArray:
-        """Return minus the mean of |z| over the band's coordinates at a frame, shape [N]; 0 at unknown frames.
+    def of(self, frames: IntArray, g: FloatArray, markers_m: FloatArray) -> FloatArray:
+        """Return minus the mean of |z| over the band's coordinates at frames, shape [N]; 0 at unknown frames.
 
         A band with `points` compares positions of markers. A bounded reward is -z / (1 + z).
 
         Args:
-            frame: Number of the frame.
+            frames: Number of the frame of each world, shape [N].
             g: g(t) of each world, shape [N, coordinate_count].
             markers_m: Markers of each world [m], shape [N, marker_count, 3].
         """
@@ -49,8 +49,8 @@ class Reward:
             g = 1e3 * markers_m.reshape(len(g), -1)
         if self._is_projected:
             g = g @ self._projection.T
-        deviation = g - self._mean[frame]
-        distance = np.abs(deviation) @ self._weight[frame]
+        deviation = np.abs(g - self._mean[frames])
+        distance = (deviation * self._weight[frames]).sum(axis=1)
         if self._is_bounded:
             return np.asarray(1.0 / (1.0 + distance) - 1.0)
         return -distance

@@ -1,7 +1,7 @@
 """Episodes of one experiment in N worlds, and the only loop over time, `intervals`.
 
-A step drives, advances and observes the worlds six times, and then checks for divergence. Engine checks, sanity checks
-and control tasks use the same loop.
+A step drives, advances and observes the worlds six times, and then checks for divergence. Control tasks use the same
+rollout with their own motions and recording; engine checks and sanity checks use the same loop.
 """
 
 from __future__ import annotations
@@ -19,7 +19,8 @@ from gauge_envs.envs.recording import EpisodeRecording
 from gauge_envs.errors import BackendError
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.observables.observer import MarkerProxy
-from gauge_envs.scene.geometry import BoolArray, FloatArray
+from gauge_envs.scene.drivers import Driver
+from gauge_envs.scene.geometry import BoolArray, FloatArray, IntArray
 from gauge_envs.scene.prescribed_motion import prescribed_motions
 from gauge_envs.scene.states import row_of, scene_at
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLE_INTERVAL_S, SAMPLES_PER_FRAME
@@ -30,15 +31,44 @@ class DrivenMotion(Protocol):
 
     body: str
 
-    def targets(self, first: int, actions: FloatArray, count: int = 1) -> FloatArray:
+    def targets(
+        self, first: int | IntArray, actions: FloatArray, count: int = 1
+    ) -> FloatArray:
         """Return the targets of the next intervals for `Simulation.drive`, shape [count, N, 19]."""
         ...
+
+
+class Motion(DrivenMotion, Protocol):
+    """Prescribed motion that each episode starts anew; see `PrescribedMotion`."""
+
+    motion_count: int
+
+    def reset(
+        self,
+        drivers: Sequence[Driver] | None = None,
+        start_poses: FloatArray | None = None,
+        worlds: BoolArray | None = None,
+    ) -> None:
+        """Return to the start in some worlds."""
+
+
+class Recording(Protocol):
+    """What a rollout records; see `EpisodeRecording`."""
+
+    def start(self, worlds: BoolArray) -> None:
+        """Record the start of worlds."""
+
+    def read_points(self, interval: int) -> None:
+        """Read all worlds after an interval of a frame."""
+
+    def end_frame(self, is_running: BoolArray) -> FloatArray | None:
+        """Record a frame, and return the states of the dynamic bodies, shape [N, body_count, 13], if it read them."""
 
 
 def intervals(
     simulation: Simulation,
     motions: Sequence[DrivenMotion],
-    first: int,
+    first: int | IntArray,
     count: int,
     actions: Sequence[FloatArray],
     *,
@@ -49,7 +79,7 @@ def intervals(
     Args:
         simulation: The worlds.
         motions: Motions of the driven bodies.
-        first: Number of the first interval since the start.
+        first: Number of the first interval since the start, or the number in each world, shape [N].
         count: Number of intervals.
         actions: Actions of each motion in all of these intervals, shape [N, motion_count].
         interval_s: Length of an interval [s].
@@ -95,7 +125,7 @@ def check_states(simulation: Simulation, names: Sequence[str]) -> None:
 
 
 class Rollout:
-    """Synchronous episodes in N worlds: they start together, and each step is one frame of all worlds.
+    """Episodes in N worlds, each with its own start and end; each step is one frame of all worlds.
 
     A world that diverges ends. Its observation stays that of its last frame, and the other worlds continue.
 
@@ -103,13 +133,16 @@ class Rollout:
         experiments: The experiment of each world; they may differ in constants.
         simulation: The worlds, at the nominal start.
         marker_proxy: Marker proxy of deformable bodies: material point or nearest node.
+        motions: Motions of the driven bodies; None is the recorded motion with a displacement by actions.
+        recorder: What is recorded; None is an `EpisodeRecording`.
 
     Attributes:
         experiment: The experiment of the first world.
         simulation: The worlds.
-        recording: The recorded motion of the worlds.
         world_count: Number of worlds N.
-        frame: Number of the current frame; None before `reset`.
+        frames: Number of the current frame of each world, shape [N].
+        has_begun: Whether the worlds were reset.
+        is_running: Which worlds the last step advanced, shape [N].
         terminated: Which worlds have diverged, shape [N].
         diverged: Reason of each diverged world, by its number.
         initial_states: Initial state of each world; empty for the nominal ones.
@@ -125,12 +158,16 @@ class Rollout:
         simulation: Simulation,
         *,
         marker_proxy: MarkerProxy = MarkerProxy.MATERIAL,
+        motions: Sequence[Motion] | None = None,
+        recorder: Recording | None = None,
     ) -> None:
         self.experiment = experiment = experiments[0]
         scene = experiment.scene
         self.simulation = simulation
         self.world_count = simulation.world_count
-        self.frame: int | None = None
+        self.frames = np.zeros(self.world_count, dtype=np.intp)
+        self.has_begun = False
+        self.is_running = np.ones(self.world_count, dtype=np.bool_)
         self.terminated = np.zeros(self.world_count, dtype=np.bool_)
         self.diverged: dict[int, str] = {}
         self.initial_states: Sequence[InitialState] = ()
@@ -138,8 +175,10 @@ class Rollout:
         self._dynamic = [body.name for body in scene.dynamic_bodies]
         driven = [driver.body for driver in scene.drivers]
         check_states(simulation, [*self._dynamic, *driven])
-        seconds = (experiment.frame_count - 1) / FRAME_RATE_HZ
-        self._motions = prescribed_motions(scene, seconds, world_count=self.world_count)
+        if motions is None:
+            seconds = (experiment.frame_count - 1) / FRAME_RATE_HZ
+            motions = prescribed_motions(scene, seconds, world_count=self.world_count)
+        self._motions = motions
         self.rest_nodes_m = {
             body.name: simulation.nodes(body.name)[0].copy()
             for body in scene.deformables
@@ -148,7 +187,15 @@ class Rollout:
             name: float(spans_m(nodes[None])[0])
             for name, nodes in self.rest_nodes_m.items()
         }
-        self.recording = EpisodeRecording(experiment, simulation, marker_proxy)
+        self._recorder = recorder or EpisodeRecording(
+            experiment, simulation, self.frames, marker_proxy
+        )
+
+    @property
+    def recording(self) -> EpisodeRecording:
+        """The recorded motion of the worlds; control tasks record none."""
+        assert isinstance(self._recorder, EpisodeRecording)
+        return self._recorder
 
     @property
     def motion_count(self) -> int:
@@ -156,9 +203,9 @@ class Rollout:
         return sum(motion.motion_count for motion in self._motions)
 
     @property
-    def is_complete(self) -> bool:
-        """Whether the current frame is the last one."""
-        return self.frame == self.experiment.frame_count - 1
+    def is_complete(self) -> BoolArray:
+        """Which worlds are at their last frame, shape [N]."""
+        return np.asarray(self.frames == self.experiment.frame_count - 1)
 
     @property
     def is_over(self) -> BoolArray:
@@ -168,30 +215,39 @@ class Rollout:
     # --- frames ---
 
     def reset(
-        self, initial_states: Sequence[InitialState] | None = None, seed: int = 0
+        self,
+        initial_states: Sequence[InitialState] | None = None,
+        seed: int = 0,
+        worlds: BoolArray | None = None,
     ) -> None:
-        """Start an episode in every world, and record frame 0.
+        """Start an episode in worlds, and record frame 0.
 
         Args:
-            initial_states: Initial state of each world; None starts each as the scene gives.
+            initial_states: Initial state of every world; None starts each as the scene gives.
             seed: Seed of the engine.
+            worlds: Which worlds start, shape [N]; None is all.
         """
+        if worlds is None:
+            worlds = np.ones(self.world_count, dtype=np.bool_)
         self.initial_states = initial_states or ()
         states = None
         if initial_states is None:
             for motion in self._motions:
-                motion.reset()
+                motion.reset(worlds=worlds)
         else:
             states = np.array([start.states for start in initial_states])
             for index, motion in enumerate(self._motions):
                 row = row_of(self.experiment.scene, motion.body)
                 drivers = [start.drivers[index] for start in initial_states]
-                motion.reset(drivers, states[:, row, :7])
-        self.simulation.reset(states, seed)
-        self.frame = 0
-        self.diverged = {}
-        self.terminated[:] = False
-        self.recording.start()
+                motion.reset(drivers, states[:, row, :7], worlds)
+        some = () if worlds.all() else (worlds,)
+        self.simulation.reset(states, seed, *some)
+        self.has_begun = True
+        self.frames[worlds] = 0
+        for world in np.flatnonzero(worlds & self.terminated).tolist():
+            del self.diverged[world]
+        self.terminated[worlds] = False
+        self._recorder.start(worlds)
 
     def step(self, actions: FloatArray) -> None:
         """Simulate one frame of all worlds.
@@ -204,7 +260,7 @@ class Rollout:
 
     def substeps(self, actions: FloatArray | None = None) -> Iterator[int]:
         """Simulate one frame of all worlds, and yield after each of its six intervals; see `step`."""
-        assert self.frame is not None, "call reset first"
+        assert self.has_begun, "call reset first"
         if actions is None:
             actions = np.zeros((self.world_count, self.motion_count))
         motion_actions = []
@@ -212,17 +268,19 @@ class Rollout:
         for motion in self._motions:
             begin, end = end, end + motion.motion_count
             motion_actions.append(actions[:, begin:end])
-        first = self.frame * SAMPLES_PER_FRAME
+        first = self.frames * SAMPLES_PER_FRAME
         for index in intervals(
             self.simulation, self._motions, first, SAMPLES_PER_FRAME, motion_actions
         ):
-            self.recording.read_points(index)
+            self._recorder.read_points(index)
             yield index
-        self.frame += 1
-        states = self.recording.end_frame(self.frame, ~self.terminated)
+        self.is_running = ~self.is_over
+        self.frames[self.is_running] += 1
+        states = self._recorder.end_frame(self.is_running)
         for world, reason in self.divergences(states).items():
-            self.diverged.setdefault(world, reason)
-            self.terminated[world] = True
+            if self.is_running[world]:
+                self.diverged[world] = reason
+                self.terminated[world] = True
 
     def play(self) -> None:
         """Simulate all episodes to their end without actions."""
@@ -247,12 +305,29 @@ class Rollout:
 
     # --- episode of a world ---
 
+    def poses(self, world: int = 0) -> dict[str, FloatArray]:
+        """Return the pose of each rigid body that moves now: position [m] and quaternion w x y z, shape [7]."""
+        driven = [driver.body for driver in self.experiment.scene.drivers]
+        names = [*self._dynamic, *driven]
+        poses = self.simulation.body_states(names)[world, :, :7]
+        return dict(zip(names, poses, strict=True))
+
+    def nodes_m(self, world: int = 0) -> dict[str, FloatArray]:
+        """Return the nodes of each deformable body now [m], shape [node_count, 3]."""
+        return {
+            name: self.simulation.nodes(name)[world].copy()
+            for name in self.rest_nodes_m
+        }
+
+    @property
+    def times_s(self) -> FloatArray:
+        """Time since the start of each episode [s], shape [N]."""
+        return self.frames / FRAME_RATE_HZ
+
     def info(self, world: int) -> dict[str, Any]:
-        """Return the `info` of a world without its reference, see `GaugeEnv`."""
-        frame, experiment = int(self.recording.last_frames[world]), self.experiment
+        """Return the `info` of a world without its frame, time and reference, see `GaugeEnv`."""
+        experiment = self.experiment
         info: dict[str, Any] = {
-            "frame": frame,
-            "time_s": frame / FRAME_RATE_HZ,
             "reference_source": experiment.reference_source.value,
             "drivers": experiment.drivers.value,
         }

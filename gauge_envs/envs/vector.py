@@ -1,25 +1,21 @@
-"""The vector environment of many worlds of one experiment, and the wrapper that scores any vector environment.
+"""The vector environment of many worlds of one experiment, and the wrapper that scores its episodes.
 
 `gymnasium.make_vec(id, num_envs=6)` makes a `GaugeVectorEnv` within `ScoreEpisodes`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from os import PathLike
-from typing import Any, ClassVar, cast
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
+from gymnasium import spaces
 from gymnasium.utils.seeding import np_random
-from gymnasium.vector import (
-    AsyncVectorEnv,
-    AutoresetMode,
-    SyncVectorEnv,
-    VectorEnv,
-    VectorWrapper,
-)
-from gymnasium.vector.utils import batch_space
+from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
+from gymnasium.vector.utils import batch_space, iterate
 from numpy.typing import NDArray
 
 from gauge_envs.backends.registry import versions_of
@@ -30,8 +26,9 @@ from gauge_envs.envs.arguments import (
     warn_before_use,
 )
 from gauge_envs.envs.guards import GuardedEnv, one_thread
-from gauge_envs.envs.initial_states import InitialStates, Scatter
+from gauge_envs.envs.initial_states import Draw, InitialStates, Scatter
 from gauge_envs.envs.pictures import WORLDS_RENDER_MODES, Pictures, rollout_picture
+from gauge_envs.envs.rollout import Rollout
 from gauge_envs.envs.spaces import (
     Observation,
     action_space_of,
@@ -42,10 +39,14 @@ from gauge_envs.errors import ActionError, EpisodeError, ParameterError
 from gauge_envs.experiments.scene_builder import Parameters
 from gauge_envs.experiments.variants import Variant
 from gauge_envs.observables.observer import MarkerProxy
+from gauge_envs.references.band import Band
 from gauge_envs.references.user_data import DataSource
 from gauge_envs.scene.geometry import BoolArray, FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
-from gauge_envs.scoring.score import Score
+from gauge_envs.validation import chosen
+
+if TYPE_CHECKING:
+    from gauge_envs.scoring.score import Score
 
 Step = tuple[
     Observation,
@@ -56,19 +57,260 @@ Step = tuple[
 ]
 
 
-class GaugeVectorEnv(GuardedEnv, VectorEnv[Observation, Any, NDArray[Any]]):
-    """Synchronous worlds of one experiment on one backend, which may simulate them in a batch.
+class WorldsEnv(GuardedEnv, VectorEnv[Any, Any, NDArray[Any]], ABC):
+    """Worlds that advance together, and whose episodes start and end on their own; base of the vector environments.
 
-    Each world behaves as a `GaugeEnv`. Spaces, rewards and `infos` have the form of `gymnasium.vector.SyncVectorEnv`.
-    Worlds differ in their actions, with `jitter` in their initial states, and with `world_parameters` in their
-    constants.
+    Spaces, rewards and `infos` have the form of `gymnasium.vector.SyncVectorEnv`, with its three autoreset modes:
 
-    Worlds are reset together, and without divergence all end in the same frame. The next step ignores its actions and
-    starts the next episode of all worlds (`AutoresetMode.NEXT_STEP`).
+    - `NEXT_STEP`: the step after the end of a world's episode ignores its action and starts its next episode.
+    - `SAME_STEP`: the step that ends an episode also starts the next one; `infos` has `final_obs` and `final_info`.
+    - `DISABLED`: the user resets the worlds that have ended, with the option `reset_mask`, before the next step.
 
-    Divergence terminates a world in that frame, with the reason in `infos["diverged"]`. The world then waits until the
-    others have ended: its observation stays the same, its reward is 0, `terminations` stays true, and `infos` has no
-    entry for it. These steps belong to no episode.
+    Attributes:
+        rollout: The current episodes.
+        on_end: Function that is called at the end of episodes, before the worlds restart. It gets the mask of these
+            worlds, shape [N], and returns entries of `infos`.
+    """
+
+    rollout: Rollout
+    on_end: Callable[[BoolArray], dict[str, Any]] | None = None
+    _name: str
+    _pictures: Pictures
+    _initial_states: InitialStates
+
+    def __init__(self, num_envs: int, autoreset_mode: AutoresetMode | str) -> None:
+        if not isinstance(num_envs, int) or num_envs < 1:
+            raise ParameterError(f"num_envs is {num_envs!r}, expected 1 or more")
+        self._mode = chosen(AutoresetMode, autoreset_mode, "autoreset_mode")
+        self.metadata = {**type(self).metadata, "autoreset_mode": self._mode}
+        self.num_envs = num_envs
+        self._over = np.zeros(num_envs, dtype=np.bool_)
+        self._randoms: list[np.random.Generator] = []
+
+    def _set_spaces(
+        self, observation: spaces.Space[Any], action: spaces.Space[Any]
+    ) -> None:
+        self.single_observation_space, self.single_action_space = observation, action
+        self.observation_space = batch_space(observation, self.num_envs)
+        self.action_space = batch_space(action, self.num_envs)
+
+    # --- hooks ---
+
+    @abstractmethod
+    def _start(self, worlds: BoolArray, given: list[int | None], draw: Draw) -> None:
+        """Start an episode in worlds, shape [N], from the given seeds and the source of initial states."""
+
+    @abstractmethod
+    def _advance(self, actions: FloatArray) -> tuple[FloatArray, BoolArray, BoolArray]:
+        """Simulate a frame, and return rewards, terminations and truncations, shape [N]."""
+
+    @abstractmethod
+    def _observations(self) -> Any:
+        """Return the observations of all worlds in new arrays."""
+
+    @abstractmethod
+    def _info(self, world: int) -> dict[str, Any]:
+        """Return the `info` of a world without frame and time; its values are hashable."""
+
+    # --- episodes ---
+
+    @one_thread
+    def reset(
+        self,
+        *,
+        seed: int | Sequence[int | None] | None = None,
+        options: dict[str, Any] | None = None,
+    ) -> tuple[Any, dict[str, Any]]:
+        """Start a new episode in every world, or in those of the option `reset_mask`.
+
+        Args:
+            seed: Seed of the engine and of the first world's random numbers; each next world has one more. Or the seeds
+                of all worlds; the engine takes the first. None is 0 in an experiment without noise. With noise and in
+                control tasks, the random numbers of each world continue, as in an autoreset.
+            options: See `GaugeEnv.reset`; an autoreset keeps them. With `{"jitter": True}` each world has its own
+                initial state; `{"trial": 3}` starts every world from trial 3. With single-trial recordings, the seed of
+                a world selects its trial. `{"reset_mask": mask}` starts the worlds of a mask of shape [N] alone.
+        """
+        self._check_open("reset")
+        worlds = np.ones(self.num_envs, dtype=np.bool_)
+        if isinstance(options, dict) and "reset_mask" in options:
+            worlds = self._mask(options["reset_mask"])
+            others = {key: options[key] for key in options if key != "reset_mask"}
+            options = others or None
+        given = self._seeds(seed)
+        draw = self._initial_states.of_reset(options, seeded=seed is not None)
+        if not self._randoms:
+            self._randoms = [np_random(None)[0] for _ in given]
+        for world in np.flatnonzero(worlds).tolist():
+            if given[world] is not None:
+                self._randoms[world] = np_random(given[world])[0]
+        self._begin(worlds, given, draw)
+        return self._observations(), self._infos(worlds)
+
+    def _begin(self, worlds: BoolArray, given: list[int | None], draw: Draw) -> None:
+        self._start(worlds, given, draw)
+        self._over[worlds] = False
+
+    def _restart(self, worlds: BoolArray) -> None:
+        """Start the next episode of worlds, as a reset without seed and options."""
+        if worlds.any():
+            draw = self._initial_states.of_reset(None, seeded=False)
+            self._begin(worlds, [None] * self.num_envs, draw)
+
+    def _mask(self, mask: Any) -> BoolArray:
+        mask = np.asarray(mask)
+        is_mask = mask.shape == (self.num_envs,) and mask.dtype == np.bool_
+        if not (is_mask and mask.any() and (mask.all() or self.rollout.has_begun)):
+            expected = (
+                f"{self.num_envs} booleans with a True; the first reset needs all"
+            )
+            raise ParameterError(
+                f"option 'reset_mask' is {mask.tolist()}, expected {expected}"
+            )
+        return mask
+
+    def _seeds(self, seed: int | Sequence[int | None] | None) -> list[int | None]:
+        """Return the seed of each world; a single seed grows by one per world."""
+        if seed is None:
+            return [None] * self.num_envs
+        if isinstance(seed, int | np.integer):
+            return [int(seed) + world for world in range(self.num_envs)]
+        if len(seed) != self.num_envs:
+            raise ParameterError(
+                f"{len(seed)} seeds for {self.num_envs} worlds: give one for each world, or a single number"
+            )
+        return list(seed)
+
+    @one_thread
+    def step(self, actions: Any) -> Step:
+        """Simulate one frame, 1/30 s, in every world; the autoreset mode says what happens after an end.
+
+        Args:
+            actions: One action for each world; actions of worlds that have ended are ignored.
+
+        Raises:
+            EpisodeError: The environment was not reset, or with `DISABLED` a world that has ended was not.
+        """
+        self._check_started("step")
+        ended, running = self._over.copy(), ~self._over
+        rewards = np.zeros(self.num_envs)
+        terminated, truncated = np.zeros((2, self.num_envs), dtype=np.bool_)
+        if ended.any() and self._mode is AutoresetMode.DISABLED:
+            raise EpisodeError(
+                f"{self._name}: the episodes of worlds {np.flatnonzero(ended).tolist()} are over: reset them with the "
+                "option 'reset_mask'"
+            )
+        # If all worlds have ended, nothing is left to simulate.
+        if running.any():
+            rewards, terminated, truncated = self._advance(
+                self._checked(actions, np.flatnonzero(running).tolist())
+            )
+            rewards[ended], terminated[ended], truncated[ended] = 0.0, False, False
+        self._over = terminated | truncated
+        infos: dict[str, Any] = {}
+        if self._over.any() and self.on_end is not None:
+            infos = self.on_end(self._over)
+        if self._mode is AutoresetMode.SAME_STEP:
+            infos |= self._final(self._over, infos)
+            ended = self._over.copy()
+        self._restart(ended)
+        infos |= self._infos(np.ones(self.num_envs, dtype=np.bool_))
+        return self._observations(), rewards, terminated, truncated, infos
+
+    def _final(self, over: BoolArray, ending: dict[str, Any]) -> dict[str, Any]:
+        """Return the last observations and infos of worlds that restart in this step, with entries of their end."""
+        if not over.any():
+            return {}
+        observations = np.full(self.num_envs, None, dtype=object)
+        batch = [*iterate(self.observation_space, self._observations())]
+        for world in np.flatnonzero(over).tolist():
+            observations[world] = batch[world]
+        final_info = self._infos(over) | ending
+        return {
+            "final_obs": observations,
+            "_final_obs": over.copy(),
+            "final_info": final_info,
+            "_final_info": over.copy(),
+        }
+
+    def _checked(self, actions: Any, running: Sequence[int]) -> FloatArray:
+        """Return the actions of all worlds, shape [num_envs, action_size]; 0 for worlds that have ended."""
+        count = len(actions) if hasattr(actions, "__len__") else 0
+        if count != self.num_envs:
+            raise ActionError(
+                f"{self._name}: actions {actions!r}: expected one action for each of {self.num_envs} worlds"
+            )
+        checked = np.zeros((self.num_envs, *(self.single_action_space.shape or (0,))))
+        if isinstance(actions, np.ndarray) and actions in self.action_space:
+            if checked.size:
+                checked[running] = actions[running]
+            return checked
+        for world in running:
+            checked[world] = checked_action(
+                actions[world], self.single_action_space, self._name
+            )
+        return checked
+
+    def _infos(self, worlds: BoolArray) -> dict[str, Any]:
+        """Return the infos of some worlds."""
+        rollout = self.rollout
+        infos: dict[str, Any] = {
+            "frame": np.where(worlds, rollout.frames, 0),
+            "time_s": np.where(worlds, rollout.times_s, 0.0),
+            "_frame": worlds.copy(),
+            "_time_s": worlds.copy(),
+        }
+        # Nearly all worlds have the same entries.
+        same: dict[tuple[tuple[str, Any], ...], list[int]] = {}
+        for world in np.flatnonzero(worlds).tolist():
+            same.setdefault(tuple(self._info(world).items()), []).append(world)
+        for entries, members in same.items():
+            infos = self._add_info(infos, dict(entries), members[0])
+            for key, value in entries:
+                infos[key][members] = value
+                infos[f"_{key}"][members] = True
+        return infos
+
+    @one_thread
+    def render(self) -> tuple[Any, ...] | None:
+        """Return a picture of each world in the form of the render mode, or None without one."""
+        if self.render_mode is None:
+            return None
+        self._check_started("render")
+        return tuple(
+            rollout_picture(self._pictures, self.rollout, self._bands, world)
+            for world in range(self.num_envs)
+        )
+
+    @property
+    def _bands(self) -> Sequence[Band | None]:
+        """Reference of each world, which pictures show."""
+        return [None] * self.num_envs
+
+    @one_thread
+    def close_extras(self, **_: Any) -> None:
+        """Free the worlds and the renderer."""
+        self._pictures.close()
+        self.rollout.simulation.close()
+
+    def _check_open(self, call: str) -> None:
+        if self.closed:
+            raise EpisodeError(
+                f"{self._name}: {call} after close; make the environment again"
+            )
+
+    def _check_started(self, call: str) -> None:
+        self._check_open(call)
+        if not self.rollout.has_begun:
+            raise EpisodeError(f"{self._name}: call reset before {call}")
+
+
+class GaugeVectorEnv(WorldsEnv):
+    """Worlds of one experiment on one backend, which may simulate them in a batch.
+
+    Each world behaves as a `GaugeEnv`; see `WorldsEnv` for the three autoreset modes. Worlds differ in their actions,
+    with `jitter` in their initial states, and with `world_parameters` in their constants. Divergence terminates a world
+    in that frame, with the reason in `infos["diverged"]`; it restarts alone.
 
     Args:
         variant: Variant, its name, or its Gymnasium id, as `SlopeSlider-2-wood`; or the path of a task file, as
@@ -95,6 +337,7 @@ class GaugeVectorEnv(GuardedEnv, VectorEnv[Observation, Any, NDArray[Any]]):
         world_parameters: Overrides for each world in addition to `parameters`, such as
             `[{"cube.friction": 0.25}, {"cube.friction": 0.30}]`. Such worlds are built sequentially. A solution cannot
             score a world with other constants, see `Score.refused`.
+        autoreset_mode: Mode of `gymnasium.vector.AutoresetMode`, or its value.
 
     Attributes:
         arguments: Variant and keywords.
@@ -121,7 +364,6 @@ class GaugeVectorEnv(GuardedEnv, VectorEnv[Observation, Any, NDArray[Any]]):
     metadata: ClassVar[dict[str, Any]] = {  # type: ignore[misc]  # gymnasium declares it without ClassVar
         "render_modes": [*WORLDS_RENDER_MODES],
         "render_fps": int(FRAME_RATE_HZ),
-        "autoreset_mode": AutoresetMode.NEXT_STEP,
     }
 
     def __init__(
@@ -143,9 +385,9 @@ class GaugeVectorEnv(GuardedEnv, VectorEnv[Observation, Any, NDArray[Any]]):
         render_overlay: bool = False,
         jitter: Scatter = None,
         world_parameters: Sequence[Mapping[str, Any]] | None = None,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
     ) -> None:
-        if not isinstance(num_envs, int) or num_envs < 1:
-            raise ParameterError(f"num_envs is {num_envs!r}, expected 1 or more")
+        super().__init__(num_envs, autoreset_mode)
         if world_parameters is not None and len(world_parameters) != num_envs:
             raise ParameterError(
                 f"world_parameters has {len(world_parameters)} entries for {num_envs} worlds: give one for each"
@@ -177,123 +419,45 @@ class GaugeVectorEnv(GuardedEnv, VectorEnv[Observation, Any, NDArray[Any]]):
                 varied = replace(self.arguments, parameters=changed)
                 experiments[world] = varied.experiment()
         self._initial_states = InitialStates(experiment, jitter)
-        self.rollout = self.arguments.rollout(experiments)
+        self.rollout = self.arguments.rollout(experiments, restarts=True)
         self.references = WorldReferences(self.rollout)
         self.band = self.references.bands[0]
         self.versions = versions_of(self.arguments.backend)
         self.seeds_used: tuple[int, ...] = ()
-        self._randoms: list[np.random.Generator] = []
-        self.num_envs = num_envs
-        self.single_action_space = action_space_of(experiment)
-        self.single_observation_space = observation_space_of(experiment)
-        self.action_space = batch_space(self.single_action_space, num_envs)
-        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self._name = experiment.id
+        self._set_spaces(observation_space_of(experiment), action_space_of(experiment))
 
-    @one_thread
-    def reset(
-        self,
-        *,
-        seed: int | Sequence[int] | None = None,
-        options: dict[str, Any] | None = None,
-    ) -> tuple[Observation, dict[str, Any]]:
-        """Start a new episode in every world.
-
-        Args:
-            seed: Seed of the engine and of the first world's noise; each next world has one more. Or the seeds of all
-                worlds; the engine takes the first. None is 0. With noise, None draws the seed of each world from its
-                random numbers, as an autoreset does.
-            options: See `GaugeEnv.reset`; an autoreset keeps them. With `{"jitter": True}` each world has its own
-                initial state; `{"trial": 3}` starts every world from trial 3. With single-trial recordings, the seed of
-                a world selects its trial.
-        """
-        self._check_open("reset")
-        given = [None] * self.num_envs if seed is None else self._seeds(seed)
-        sampler = self._initial_states
-        draw = sampler.of_reset(options, seeded=seed is not None)
-        if seed is not None or not self._randoms:
-            self._randoms = [np_random(world_seed)[0] for world_seed in given]
-        seeds = [*range(self.num_envs)]
-        if seed is not None or draw is not None:
-            seeds = [
-                sampler.seed_of(world_seed, draw, random)
-                for world_seed, random in zip(given, self._randoms, strict=True)
-            ]
-        super().reset(seed=seeds[0])
+    def _start(self, worlds: BoolArray, given: list[int | None], draw: Draw) -> None:
+        sampler, rollout = self._initial_states, self.rollout
+        seeds = list(self.seeds_used or range(self.num_envs))
+        starts = list(rollout.initial_states) or [sampler.sample(None, 0)] * len(seeds)
+        chosen = np.flatnonzero(worlds).tolist()
+        for world in chosen:
+            seeds[world] = world
+            if given[world] is not None or draw is not None:
+                random = self._randoms[world]
+                seeds[world] = sampler.seed_of(given[world], draw, random)
+            starts[world] = sampler.sample(draw, seeds[world])
         self.seeds_used = tuple(seeds)
-        self.rollout.reset(
-            [sampler.sample(draw, world_seed) for world_seed in seeds], seeds[0]
-        )
+        rollout.reset(starts, seeds[chosen[0]], worlds)
         self.references.start()
-        observations = self.rollout.recording.observation()
-        return observations, self._infos(range(self.num_envs))
 
-    def _seeds(self, seed: int | Sequence[int | None]) -> list[int | None]:
-        """Return the seed of each world; a single seed grows by one per world."""
-        if isinstance(seed, int | np.integer):
-            return [int(seed) + world for world in range(self.num_envs)]
-        if len(seed) != self.num_envs:
-            raise ParameterError(
-                f"{len(seed)} seeds for {self.num_envs} worlds: give one for each world, or a single number"
-            )
-        return list(seed)
-
-    @one_thread
-    def step(self, actions: Any) -> Step:
-        """Simulate one frame, 1/30 s, in every world; if all have ended, start the next episode of all instead.
-
-        Args:
-            actions: One action for each world; actions of worlds that have ended are ignored.
-        """
-        self._check_started("step")
+    def _advance(self, actions: FloatArray) -> tuple[FloatArray, BoolArray, BoolArray]:
         rollout = self.rollout
-        if rollout.is_over.all():
-            observations, infos = self.reset()
-            none = np.zeros(self.num_envs, dtype=np.bool_)
-            return observations, np.zeros(self.num_envs), none, none.copy(), infos
-        running = np.flatnonzero(~rollout.is_over).tolist()
-        rollout.step(self._checked(actions, running))
+        rollout.step(actions)
         terminated = rollout.terminated.copy()
-        truncated = rollout.is_over & ~terminated
-        rewards, infos = self.references.rewards(), self._infos(running)
-        observations = rollout.recording.observation()
-        return observations, rewards, terminated, truncated, infos
+        truncated = rollout.is_complete & ~terminated
+        return self.references.rewards(), terminated, truncated
 
-    def _checked(self, actions: Any, running: Sequence[int]) -> FloatArray:
-        """Return the actions of all worlds, shape [num_envs, motion_count]; 0 for worlds that have ended."""
-        count = len(actions) if hasattr(actions, "__len__") else 0
-        if count != self.num_envs:
-            raise ActionError(
-                f"{self.experiment.id}: actions {actions!r}: expected one action for each of {self.num_envs} worlds"
-            )
-        checked = np.zeros((self.num_envs, self.rollout.motion_count))
-        if isinstance(actions, np.ndarray) and actions in self.action_space:
-            if checked.size:
-                checked[running] = actions[running]
-            return checked
-        for world in running:
-            checked[world] = checked_action(
-                actions[world], self.single_action_space, self.experiment.id
-            )
-        return checked
+    def _observations(self) -> Observation:
+        return self.rollout.recording.observation()
 
-    def _infos(self, worlds: Sequence[int]) -> dict[str, Any]:
-        """Return the infos of some worlds."""
-        infos: dict[str, Any] = {}
-        # Nearly all worlds have the same entries.
-        same: dict[tuple[tuple[str, Any], ...], list[int]] = {}
-        for world in worlds:
-            info = {
-                **self.rollout.info(world),
-                "reference": self.references.kind(world),
-            }
-            entries = tuple(info.items())
-            same.setdefault(entries, []).append(world)
-        for entries, members in same.items():
-            infos = self._add_info(infos, dict(entries), members[0])
-            for key, value in entries:
-                infos[key][members] = value
-                infos[f"_{key}"][members] = True
-        return infos
+    def _info(self, world: int) -> dict[str, Any]:
+        return {**self.rollout.info(world), "reference": self.references.kind(world)}
+
+    @property
+    def _bands(self) -> Sequence[Band | None]:
+        return self.references.bands
 
     @one_thread
     def scores(self) -> tuple[Score | None, ...]:
@@ -318,122 +482,46 @@ class GaugeVectorEnv(GuardedEnv, VectorEnv[Observation, Any, NDArray[Any]]):
             )
         return self.references.score_arrays()
 
-    @one_thread
-    def render(self) -> tuple[Any, ...] | None:
-        """Return a picture of each world in the form of the render mode, or None without one."""
-        if self.render_mode is None:
-            return None
-        self._check_started("render")
-        return tuple(
-            rollout_picture(self._pictures, self.rollout, self.references.bands, world)
-            for world in range(self.num_envs)
-        )
-
-    @one_thread
-    def close_extras(self, **_: Any) -> None:
-        """Free the worlds and the renderer."""
-        self._pictures.close()
-        self.rollout.simulation.close()
-
-    def _check_open(self, call: str) -> None:
-        if self.closed:
-            raise EpisodeError(
-                f"{self.experiment.id}: {call} after close; make the environment again"
-            )
-
-    def _check_started(self, call: str) -> None:
-        self._check_open(call)
-        if self.rollout.frame is None:
-            raise EpisodeError(f"{self.experiment.id}: call reset before {call}")
-
 
 class ScoreEpisodes(VectorWrapper):
-    """Score each episode of a vector environment once, when it ends.
+    """Score each episode of a `GaugeVectorEnv` once, when it ends.
 
     At the step that ends an episode, in every autoreset mode, it adds to `infos`: `score`, an array of
-    `gauge_envs.Score` of shape [num_envs], None for a world whose episode did not end; and the mask `_score`. It keeps
-    scores from sub-environments of `gymnasium.make`.
+    `gauge_envs.Score` of shape [num_envs], None for a world whose episode did not end; and the mask `_score`.
+    Environments of `gymnasium.make` score themselves, also within Gymnasium's vector environments.
 
     Args:
-        env: A `GaugeVectorEnv`, or Gymnasium's `SyncVectorEnv` or `AsyncVectorEnv` of environments of this suite.
-        arrays: Whether to add the arrays of `GaugeVectorEnv.score_arrays` with their masks in place of `score`, at the
-            step that ends the last episode. This scores thousands of worlds in one pass.
+        env: The environment, with or without other wrappers.
+        arrays: Whether to add the arrays of `GaugeVectorEnv.score_arrays` with their masks in place of `score`. This
+            scores thousands of worlds in one pass.
 
-    Example:
-        >>> import gymnasium as gym
-        >>> from gauge_envs import GaugeEnv
-        >>> from gauge_envs.envs.vector import ScoreEpisodes
-        >>> envs = gym.vector.SyncVectorEnv([lambda: GaugeEnv("SlopeSlider-2-wood")] * 2)
-        >>> envs = ScoreEpisodes(envs)
-        >>> _ = envs.reset(seed=0)
-        >>> for _ in range(18):
-        ...     *_, infos = envs.step([0, 0])
-        >>> [round(score.rmse_normalized, 2) for score in infos["score"]]
-        [0.41, 0.41]
+    Raises:
+        ParameterError: The environment is no `GaugeVectorEnv`.
     """
 
     def __init__(
         self, env: VectorEnv[Any, Any, NDArray[Any]], *, arrays: bool = False
     ) -> None:
         super().__init__(env)
-        if arrays and not isinstance(env.unwrapped, GaugeVectorEnv):
+        worlds = env.unwrapped
+        if not isinstance(worlds, GaugeVectorEnv):
             raise ParameterError(
-                f"arrays: expected a GaugeVectorEnv, got a {type(env.unwrapped).__name__}"
+                f"ScoreEpisodes: expected a GaugeVectorEnv, got a {type(worlds).__name__}"
             )
-        self._arrays = arrays
-        self._over = np.zeros(env.num_envs, dtype=np.bool_)
+        self._worlds, self._arrays = worlds, arrays
+        worlds.on_end = self._scores
 
-    def reset(
-        self,
-        *,
-        seed: int | Sequence[int] | None = None,
-        options: dict[str, Any] | None = None,
-    ) -> tuple[Any, dict[str, Any]]:
-        """Start new episodes."""
-        self._over[:] = False
-        # Gymnasium's vector environments accept a list of seeds; the annotation of their base class does not.
-        return self.env.reset(seed=cast("int | None", seed), options=options)
-
-    def step(self, actions: Any) -> Step:
-        """Step, and score the episodes that end."""
-        observations, rewards, terminations, truncations, infos = self.env.step(actions)
-        over = terminations | truncations
-        ended = np.flatnonzero(over & ~self._over).tolist()
-        self._over = over
+    def _scores(self, over: BoolArray) -> dict[str, Any]:
+        """Return the scores of worlds that have ended, as entries of `infos`."""
         if self._arrays:
-            env = self.env.unwrapped
-            assert isinstance(env, GaugeVectorEnv)
-            if ended and over.all() and env.band is not None:
-                scores = env.score_arrays()
-                infos |= scores | {
-                    f"_{key}": np.isfinite(values) for key, values in scores.items()
-                }
-        elif ended and "score" not in infos:
-            episode_scores = self._ended(infos)
-            for number in ended:
-                if episode_scores[number] is not None:
-                    infos = self._add_info(
-                        infos, {"score": episode_scores[number]}, number
-                    )
-        return observations, rewards, terminations, truncations, infos
-
-    def _ended(self, infos: Mapping[str, Any]) -> Sequence[Any]:
-        """Return the score of each world, see `GaugeEnv.score`."""
-        env = self.env.unwrapped
-        if isinstance(env, GaugeVectorEnv):
-            return env.scores()
-        env = cast("SyncVectorEnv | AsyncVectorEnv", env)
-        if env.metadata["autoreset_mode"] is not AutoresetMode.SAME_STEP:
-            return env.call("score")
-        final = infos["final_info"]
-        last = env.get_attr("experiment")[0].frame_count - 1
-        if "score" not in final and ("diverged" in final or last in final["frame"]):
-            raise EpisodeError(
-                "the sub-environments restart in the step that ends an episode, which loses its score. Make them with "
-                "gymnasium.make, which scores each episode, or choose another autoreset mode."
-            )
-        none: list[None] = [None] * self.num_envs
-        return cast("Sequence[Any]", final.get("score", none))
+            arrays = self._worlds.score_arrays()
+            masks = {f"_{key}": over & np.isfinite(arrays[key]) for key in arrays}
+            return arrays | masks
+        infos: dict[str, Any] = {}
+        scores = self._worlds.scores()
+        for world in np.flatnonzero(over).tolist():
+            infos = self._add_info(infos, {"score": scores[world]}, world)
+        return infos
 
 
 def scored_vector_env(

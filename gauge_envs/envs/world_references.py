@@ -69,13 +69,12 @@ class WorldReferences:
         It is 0 if the world ended before this frame, or if a number of the frame is not finite.
         """
         rollout = self._rollout
-        frame = rollout.frame or 0
-        g, markers_m = rollout.recording.compared_at(frame)
+        frames = rollout.frames
+        g, markers_m = rollout.recording.compared()
         rewards = np.zeros(rollout.world_count)
         for reward, worlds in self._rewards:
-            rewards[worlds] = reward.of(frame, g[worlds], markers_m[worlds])
-        has_ended = rollout.recording.last_frames < frame
-        rewards[has_ended | ~np.isfinite(rewards)] = 0.0
+            rewards[worlds] = reward.of(frames[worlds], g[worlds], markers_m[worlds])
+        rewards[~rollout.is_running | ~np.isfinite(rewards)] = 0.0
         return rewards
 
     def score(self, world: int = 0) -> Score:

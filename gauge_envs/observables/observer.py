@@ -72,7 +72,7 @@ class ObserverPositions:
 
     def read(self, simulation: Simulation) -> FloatArray:
         """Return the positions of the bodies now [m]."""
-        return simulation.body_states(self._names)[:, :, :3]
+        return simulation.body_positions(self._names)
 
     def observe(self, points_m: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the positions, shape [S, N, width], and no markers."""

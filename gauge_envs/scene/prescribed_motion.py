@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from functools import lru_cache
+from functools import lru_cache, partial
 
 import numpy as np
 
 from gauge_envs.scene.drivers import Driver, recorded_coordinates
 from gauge_envs.scene.geometry import (
+    BoolArray,
     FloatArray,
+    IntArray,
     quaternion_products,
     quaternion_vectors,
     unit_quaternions,
@@ -51,16 +53,15 @@ class PrescribedMotion:
         times_s = interval_s * np.arange(count + 1, dtype=np.float64)
         self._times_s = times_s[:, None, None]
         self._scale = np.array([motion.residual_rate for motion in driver.motions])
-        self._axes: FloatArray | None = None
-        if all(motion.kind == "translate" for motion in driver.motions):
-            self._axes = np.array([motion.axis for motion in driver.motions])
         self._nominal = [driver] * world_count, np.tile(start, (world_count, 1))
+        self._offsets = np.zeros((world_count, self.motion_count))
         self.reset()
 
     def reset(
         self,
         drivers: Sequence[Driver] | None = None,
         start_poses: FloatArray | None = None,
+        worlds: BoolArray | None = None,
     ) -> None:
         """Return to the recorded motion.
 
@@ -68,6 +69,7 @@ class PrescribedMotion:
             drivers: Driver of each world, with the same degrees of freedom and action scales; None is the nominal
                 driver.
             start_poses: Pose of the body in each world before anything moves, shape [N, 7]; None is the nominal pose.
+            worlds: Which worlds return; the others must keep their driver and pose. None is all.
         """
         nominal_drivers, nominal_poses = self._nominal
         if drivers is None:
@@ -77,13 +79,16 @@ class PrescribedMotion:
         self._drivers = list(drivers)
         self._start = np.array(start_poses, dtype=np.float64)
         self._start[:, 3:] = unit_quaternions(self._start[:, 3:])
-        self._offsets = np.zeros((len(self._start), self.motion_count))
+        self._offsets[slice(None) if worlds is None else worlds] = 0.0
         # If all worlds have the same motion, they share it, and the axis of worlds has length 1.
         is_shared = all(driver is self._drivers[0] for driver in self._drivers)
         is_shared = is_shared and (self._start == self._start[0]).all()
-        worlds = range(len(self._drivers))
-        if is_shared:
-            worlds = range(1)
+        self._columns = np.arange(1 if is_shared else len(self._drivers))
+        self._simple: SimpleTargets | None = None
+        if is_shared and SimpleTargets.fit(self._drivers[0]):
+            self._simple = SimpleTargets(
+                self._drivers[0], self._start[0], self._interval_s
+            )
         recorded = [
             _recorded(
                 self._drivers[world],
@@ -91,17 +96,21 @@ class PrescribedMotion:
                 self._count,
                 self._interval_s,
             )
-            for world in worlds
+            for world in self._columns
         ]
         self._targets, self._values, self._rates = (
             np.stack(arrays, axis=1) for arrays in zip(*recorded, strict=True)
         )
 
-    def targets(self, first: int, actions: FloatArray, count: int = 1) -> FloatArray:
+    def targets(
+        self, first: int | IntArray, actions: FloatArray, count: int = 1
+    ) -> FloatArray:
         """Return the targets of the next intervals for `Simulation.drive`, and add the displacement by the actions.
 
+        After its last interval a motion repeats it, because worlds that have ended still move with the others.
+
         Args:
-            first: Number of the first interval, from 0.
+            first: Number of the first interval, from 0; or the number in each world, shape [N].
             actions: Action for each degree of freedom, from -1 to 1, shape [N, M], for all of these intervals.
             count: Number of intervals.
 
@@ -109,21 +118,93 @@ class PrescribedMotion:
             Shape [count, N, 19].
         """
         rates = actions * self._scale
-        part = slice(first, first + count + 1)
+        samples = np.arange(count + 1)[:, None] + first
+        part = np.minimum(samples, self._count), self._columns
+        recorded = self._targets[
+            np.minimum(samples[:-1], self._count - 1), self._columns
+        ]
         if not (self._offsets.any() or rates.any()):
-            recorded = self._targets[first : first + count]
-            return np.broadcast_to(recorded, (len(recorded), len(rates), 19))
+            return np.broadcast_to(recorded, (count, len(rates), 19))
         offsets = self._offsets + self._times_s[: count + 1] * rates
         self._offsets = offsets[-1]
-        if self._axes is not None:
-            # A constant velocity adds to translations.
-            targets = self._targets[first : first + count] + np.zeros((len(rates), 1))
-            targets[:, :, :3] += offsets[:-1] @ self._axes
-            targets[:, :, 7:10] += rates @ self._axes
-            return targets
         values, part_rates = self._values[part] + offsets, self._rates[part] + rates
+        if self._simple is not None:
+            return self._simple.targets(values, part_rates)[0]
         states = _states(self._drivers, self._start, values, part_rates)
         return uniformly_accelerated(states, self._interval_s)
+
+
+class SimpleTargets:
+    """Targets of a body that translates, or rotates about one axis: few functions of its coordinates times a matrix.
+
+    At an angle t of a rotation, the position is centre + a cos t + b sin t. The arm a leads from the axis to the body,
+    and b = axis x a. The quaternion is q cos(t / 2) + p sin(t / 2) with p = (0, axis) q.
+
+    Args:
+        driver: A driver that `fit` accepts.
+        start: Pose of the body before anything moves, position [m] and unit quaternion w x y z, shape [7].
+        interval_s: Length of an interval [s].
+    """
+
+    def __init__(
+        self, driver: Driver, start: FloatArray, interval_s: float = SAMPLE_INTERVAL_S
+    ) -> None:
+        count, motion = len(driver.motions), driver.motions[0]
+        self._turns = motion.kind == "rotate"
+        values, gains = np.zeros((2, 8 if self._turns else 2 * count, 19))
+        means, accelerations = gains[:, 7:13], gains[:, 13:]
+        axes, rates = (
+            np.array([each.axis for each in driver.motions]),
+            slice(count, None),
+        )
+        self._constant = np.zeros(19)
+        self._constant[:7] = start
+        if self._turns:
+            across = (start[:3] - motion.point_m) @ motion.cross_product
+            axes = np.array([-across @ motion.cross_product, across])
+            count, rates = 2, slice(4, 6)
+            values[2, 3:7] = start[3:]
+            values[3, 3:7] = start[3:] @ motion.quaternion_product
+            means[7, 3:] = np.array(motion.axis) / interval_s
+            accelerations[6, 3:] = means[7, 3:]
+            self._constant[:7] = 0.0
+            self._constant[:3] = start[:3] - axes[0]
+        values[:count, :3] = axes
+        means[:count, :3] = accelerations[rates, :3] = axes / interval_s
+        # The mean velocity of the interval minus half of its gain is the velocity at its start.
+        means -= 0.5 * interval_s * accelerations
+        self._values, self._gains = values, gains
+
+    @staticmethod
+    def fit(driver: Driver) -> bool:
+        """Return whether a driver has translations alone or one rotation."""
+        kinds = [motion.kind for motion in driver.motions]
+        return kinds == ["rotate"] or "rotate" not in kinds
+
+    def targets(
+        self, values: FloatArray, rates: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return the targets of intervals, shape [S - 1, N, 19], and the poses at their ends, shape [S, N, 7].
+
+        Args:
+            values: Coordinates at the ends of the intervals [m or rad], shape [S, N, M].
+            rates: Their rates, of the same shape.
+        """
+        functions = self._functions(values, rates)
+        # Bits of a product by BLAS would depend on the number of worlds.
+        product = partial(np.einsum, "snf,fk->snk")
+        states = product(functions, self._values) + self._constant
+        gains = product(np.diff(functions, axis=0), self._gains)
+        return states[:-1] + gains, states[..., :7]
+
+    def _functions(self, values: FloatArray, rates: FloatArray) -> FloatArray:
+        """Return the functions of the coordinates, shape [S, N, function_count]."""
+        if not self._turns:
+            return np.concatenate([values, rates], axis=-1)
+        cosines, sines = np.cos(values), np.sin(values)
+        halves = np.cos(0.5 * values), np.sin(0.5 * values)
+        parts = cosines, sines, *halves, -rates * sines, rates * cosines, rates, values
+        return np.concatenate(parts, axis=-1)
 
 
 def prescribed_motions(

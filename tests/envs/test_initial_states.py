@@ -148,7 +148,7 @@ def test_the_limit_of_a_throw_depends_on_its_initial_height():
     limits = []
     for seed in (0, 1, 0):
         env.reset(seed=seed)
-        limits.append(env.unwrapped.limit.value)
+        limits.append(env.unwrapped.task.limits[0])
     assert limits[0] == limits[2]
     assert 1e-4 < abs(limits[1] - limits[0]) < 0.01
 

@@ -16,7 +16,8 @@ PICTURE = {"render_mode", "width", "height", "camera", "render_overlay"}
 
 OWN = {
     GaugeEnv: PICTURE | {"jitter"},
-    GaugeVectorEnv: PICTURE | {"jitter", "num_envs", "world_parameters"},
+    GaugeVectorEnv: PICTURE
+    | {"jitter", "num_envs", "world_parameters", "autoreset_mode"},
 }
 """Options of each class that are not arguments of an episode's run."""
 

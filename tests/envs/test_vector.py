@@ -7,7 +7,7 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium.envs.registration import EnvSpec
-from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv
+from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from gymnasium.wrappers.vector import RecordEpisodeStatistics
 from opengl import needs_opengl
 
@@ -67,7 +67,6 @@ def compare(
     steps=6,
     options=None,
     constants=None,
-    kicked=None,
     tolerance=1e-9,
     **arguments,
 ):
@@ -79,7 +78,6 @@ def compare(
         steps: Number of steps.
         options: Options of the reset.
         constants: Parameters of each world.
-        kicked: Number of a world that diverges at the third step.
         tolerance: Largest difference, absolute and relative.
         arguments: Other arguments of `gymnasium.make`.
     """
@@ -88,18 +86,14 @@ def compare(
     envs.action_space.seed(0)
     actions = [envs.action_space.sample() for _ in range(steps)]
     batches = [envs.reset(seed=5, options=options)]
-    for frame, action in enumerate(actions):
-        if frame == 2 and kicked is not None:
-            kick(envs.unwrapped.rollout, kicked)
+    for action in actions:
         batches.append(envs.step(action))
     for world in range(count):
         if constants is not None:
             arguments["parameters"] = constants[world] or "published"
         env = gymnasium.make(f"GAUGE/{name}", disable_env_checker=True, **arguments)
         singles = [env.reset(seed=5 + world, options=options)]
-        for frame, action in enumerate(actions):
-            if frame == 2 and world == kicked:
-                kick(env.unwrapped.rollout, 0)
+        for action in actions:
             singles.append(env.step(action[world]))
             if any(singles[-1][2:4]):
                 break
@@ -107,15 +101,10 @@ def compare(
 
 
 def compare_world(batches, world, singles, tolerance):
-    """Compare a world with a single environment; after the end of the environment, the world waits."""
-    for number, batch in enumerate(batches):
-        single = singles[min(number, len(singles) - 1)]
+    """Compare a world with the first episode of a single environment."""
+    for batch, single in zip(batches, singles, strict=False):
         rows = {key: values[world] for key, values in batch[0].items()}
         assert_near(rows, single[0], tolerance)
-        if number >= len(singles):
-            assert batch[1][world] == 0.0
-            assert not batch[-1]["_frame"][world]
-            continue
         for values, value in zip(batch[1:-1], single[1:-1], strict=True):
             assert_near(values[world], value, tolerance)
         infos = {key: batch[-1][key][world] for key in single[-1]}
@@ -131,7 +120,7 @@ def compare_world(batches, world, singles, tolerance):
         ("CubePush-light", {"options": {"trial": 3}}),
         ("CubeToss-acrylic", {}),
         (SLIDE, {"constants": CUBES}),
-        (BALL, {"kicked": 1}),
+        (BALL, {}),
         ("StickStack-soft", {"count": 2, "steps": 3}),
         ("RotatingBall-rayon", {"count": 2, "steps": 2, "options": {"jitter": True}}),
     ],
@@ -276,7 +265,10 @@ def test_a_world_that_diverged_has_no_score_and_its_own_length():
     envs.step(zeros(envs))
     kick(envs.unwrapped.rollout, 0)
     assert envs.step(zeros(envs))[4]["episode"]["l"].tolist() == [2, 0]
-    infos = run_to_end(envs)[-1][4]
+    infos = envs.step(zeros(envs))[4]
+    assert infos["frame"].tolist() == [0, 3]
+    for _ in range(14):
+        infos = envs.step(zeros(envs))[4]
     assert infos["episode"]["l"].tolist() == [0, 17]
     assert infos["_rmse"].tolist() == [False, True]
     assert np.isnan(infos["rmse"][0])
@@ -286,7 +278,7 @@ def test_arrays_need_a_reference_and_a_native_vector_environment():
     with pytest.raises(ParameterError, match="needs a reference, and it has none"):
         make("RotatingBall-satin", score_arrays=True)
     with pytest.raises(ParameterError, match="expected a GaugeVectorEnv"):
-        ScoreEpisodes(SyncVectorEnv([lambda: GaugeEnv(SLIDE)]), arrays=True)
+        ScoreEpisodes(SyncVectorEnv([lambda: GaugeEnv(SLIDE)]))
 
 
 def test_training_leaves_scores_out():
@@ -304,33 +296,13 @@ def test_training_leaves_scores_out():
         pytest.param(TILTED, "async", AutoresetMode.NEXT_STEP, marks=SLOW),
     ],
 )
-def test_scores_arrive_from_sub_environments(name, mode, autoreset):
+def test_separate_environments_score_themselves(name, mode, autoreset):
     options = {"autoreset_mode": autoreset}
-    envs = ScoreEpisodes(make(name, vectorization_mode=mode, vector_kwargs=options))
+    envs = make(name, vectorization_mode=mode, vector_kwargs=options)
     envs.reset(seed=0)
-    for _ in range(2):
-        steps = run_to_end(envs)
-        infos = steps[-1][4]
-        assert infos["_score"].all()
-        assert infos["score"][0].rmse > 0.0
-        assert "score" not in steps[-2][4]
-        if autoreset is AutoresetMode.SAME_STEP:
-            assert infos["final_info"]["score"][0] == infos["score"][0]
-        else:
-            envs.step(zeros(envs))
-    envs.close()
-
-
-@pytest.mark.parametrize("vector", [SyncVectorEnv, AsyncVectorEnv])
-def test_bare_sub_environments_are_scored_unless_they_restart_at_once(vector):
-    makers = [lambda: GaugeEnv(SLIDE)] * 2
-    envs = ScoreEpisodes(vector(makers))
-    envs.reset(seed=0)
-    scores = run_to_end(envs)[-1][4]["score"]
-    assert [score.kind for score in scores] == ["trials"] * 2
-    envs.close()
-    envs = ScoreEpisodes(vector(makers, autoreset_mode=AutoresetMode.SAME_STEP))
-    envs.reset(seed=0)
-    with pytest.raises(EpisodeError, match=r"gymnasium\.make"):
-        run_to_end(envs)
+    infos = run_to_end(envs)[-1][4]
+    if autoreset is AutoresetMode.SAME_STEP:
+        infos = infos["final_info"]
+    assert infos["_score"].all()
+    assert infos["score"][0].rmse > 0.0
     envs.close()

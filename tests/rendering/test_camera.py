@@ -63,8 +63,8 @@ def test_moving_bodies_are_in_the_picture_and_fill_half_of_it(name):
     seen = []
     for frame in range(last + 1):
         if frame in (0, last // 2, last):
-            points = list(env.rollout.recording.nodes_m().values())
-            for body, pose in env.rollout.recording.poses().items():
+            points = list(env.rollout.nodes_m().values())
+            for body, pose in env.rollout.poses().items():
                 rotation = Rotation.from_quat(pose[3:], scalar_first=True)
                 corners_m = scene.body(body).shape.corners_m
                 points.append(pose[:3] + rotation.apply(corners_m))

@@ -35,7 +35,7 @@ def test_picture_shows_the_moving_body(name):
     rollout = env.unwrapped.rollout
     far = {
         body: np.array([0.0, 0.0, -50.0, 1.0, 0.0, 0.0, 0.0])
-        for body in rollout.recording.poses()
+        for body in rollout.poses()
     }
     without = env.unwrapped._pictures.draw(
         rollout.experiment, {}, poses=far, nodes_m={}

@@ -22,7 +22,7 @@ from gauge_envs.backends.shared.rigid import (
 )
 from gauge_envs.backends.simulation import ContactForces
 from gauge_envs.scene import Motion, Scene
-from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene.geometry import BoolArray, FloatArray
 from gauge_envs.scene.states import nominal_states
 
 POSE_ORDER = np.array([4, 5, 6, 0, 1, 2, 3])
@@ -67,7 +67,12 @@ class SimulationDrake(PlacedSimulation):
                 self._places[name] = np.hstack(places)
         self.reset()
 
-    def reset(self, starts: FloatArray | None = None, seed: int = 0) -> None:
+    def reset(
+        self,
+        starts: FloatArray | None = None,
+        seed: int = 0,
+        worlds: BoolArray | None = None,
+    ) -> None:
         """Write the initial states to the plant, which has no other memory. The seed has no effect."""
         states = self._nominal if starts is None else starts[0]
         self._motions: dict[str, FloatArray] = {}

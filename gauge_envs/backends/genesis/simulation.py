@@ -26,6 +26,7 @@ from gauge_envs.backends.shared.rigid import (
 from gauge_envs.backends.simulation import MaterialPoints
 from gauge_envs.scene import Motion, Scene
 from gauge_envs.scene.geometry import (
+    BoolArray,
     FloatArray,
     rotation_matrices,
 )
@@ -64,7 +65,12 @@ class SimulationGenesis(PlacedSimulation):
         self._solver = self._model.sim.rigid_solver
         self.reset()
 
-    def reset(self, starts: FloatArray | None = None, seed: int = 0) -> None:
+    def reset(
+        self,
+        starts: FloatArray | None = None,
+        seed: int = 0,
+        worlds: BoolArray | None = None,
+    ) -> None:
         """Start all worlds. Genesis draws no random numbers here, so the seed has no effect."""
         if starts is None:
             starts = np.tile(self._nominal, (self.world_count, 1, 1))

@@ -44,6 +44,7 @@ class BackendMuJoCo(BundledBackend):
         }
     )
     worlds_share_simulation = False
+    restarts_worlds = True
 
     def unsupported(self, scene: Scene) -> Iterator[str]:
         """Yield the unsupported features, such as cloth on a dynamic body or, below MuJoCo 4, deformable bodies."""

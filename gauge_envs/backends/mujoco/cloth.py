@@ -245,7 +245,10 @@ def _rest_m(before: FloatArray, after: FloatArray) -> float:
     moves -= moves.sum(axis=0) / len(moves)
     # The rotation w of points of equal mass: I w = sum(r x d), with the inertia I = sum(r.r) 1 - sum(r r').
     inertia = np.eye(3) * np.vdot(arms, arms) - arms.T @ arms
-    x, y, z = np.linalg.solve(inertia, np.cross(arms, moves).sum(axis=0)).tolist()
+    products = arms.T @ moves
+    products -= products.T
+    turning = products[1, 2], products[2, 0], products[0, 1]
+    x, y, z = np.linalg.solve(inertia, turning).tolist()
     moves -= arms @ ((0.0, z, -y), (-z, 0.0, x), (y, -x, 0.0))
     return float(np.sqrt(np.max(np.einsum("ij,ij->i", moves, moves))))
 

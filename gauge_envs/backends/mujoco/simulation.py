@@ -31,8 +31,9 @@ from gauge_envs.backends.shared.rigid import (
 from gauge_envs.backends.simulation import ContactForces, MaterialPoints
 from gauge_envs.processors import processor_count
 from gauge_envs.scene import Hinge, Motion, Pose, RigidBody, Scene
-from gauge_envs.scene.geometry import FloatArray, unit_quaternions
+from gauge_envs.scene.geometry import BoolArray, FloatArray, unit_quaternions
 from gauge_envs.scene.states import row_of
+from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
 
 BAD_STATES = {
     mujoco.mjtWarning.mjWARN_BADQPOS: "position",
@@ -101,14 +102,15 @@ class SimulationMuJoCo(PlacedSimulation):
         self._force_readers: list[list[MeanForces]] = [[] for _ in self.datas]
         self.placed = placed_states(scene)
         self._moving = {
-            body.name: [self._moving_body(body, data) for data in self.datas]
+            body.name: self._moving_body(body)
             for body in scene.bodies
             if body.motion is not Motion.FIXED
         }
         # Views: fetching an array of MuJoCo costs more than reading from it.
         self._options = model.opt
         self._warnings = [data.warning.number for data in self.datas]
-        self._driven: dict[str, list[_DrivenBody]] = {}
+        self._driven: dict[str, _DrivenBody] = {}
+        self._places: dict[tuple[str, ...], list[FloatArray]] = {}
         self._thread_count = min(processor_count(), world_count)
         self._threads = None
         if self._thread_count > 1:
@@ -116,7 +118,12 @@ class SimulationMuJoCo(PlacedSimulation):
         self.reset()
 
     def _fold_watch(self) -> FoldWatch | None:
-        """Return the watch of a cloth that touches nothing but itself, or None."""
+        """Return the watch of a cloth that touches nothing but itself, or None.
+
+        With three steps in an interval, the watch takes as long as the searches for contacts that it saves.
+        """
+        if self.timestep_s > 0.3 * SAMPLE_INTERVAL_S:
+            return None
         touching = {
             name
             for contact in self._scene.contacts
@@ -126,19 +133,26 @@ class SimulationMuJoCo(PlacedSimulation):
             return None
         return FoldWatch(self._cloths[touching.pop()], self.model, self.data)
 
-    def _moving_body(
-        self, body: RigidBody, data: mujoco.MjData
-    ) -> _FreeBody | _HingedBody:
-        """Return the object that reads and writes the state of a body in one world."""
+    def _moving_body(self, body: RigidBody) -> _FreeBody | _HingedBody:
+        """Return the object that reads and writes the states of a body."""
         hinge = self._scene.hinges.get(body.name)
         if hinge is None:
-            return _FreeBody(self.model, data, body.name)
-        return _HingedBody(self.model, data, hinge, body.pose)
+            return _FreeBody(self.model, self.datas, body.name)
+        return _HingedBody(self.model, self.datas, hinge, body.pose)
 
-    def reset(self, starts: FloatArray | None = None, seed: int = 0) -> None:
-        """Start all worlds; MuJoCo draws no random numbers, so the seed has no effect."""
+    def reset(
+        self,
+        starts: FloatArray | None = None,
+        seed: int = 0,
+        worlds: BoolArray | None = None,
+    ) -> None:
+        """Start worlds; MuJoCo draws no random numbers, so the seed has no effect."""
         key = mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_KEY, START_KEY)
-        for data in self.datas:
+        chosen = [*range(self.world_count)]
+        if worlds is not None:
+            chosen = np.flatnonzero(worlds).tolist()
+        for world in chosen:
+            data = self.datas[world]
             mujoco.mj_resetData(self.model, data)
             if key >= 0:
                 data.qvel[:] = self.model.key_qvel[key]
@@ -147,8 +161,9 @@ class SimulationMuJoCo(PlacedSimulation):
         if starts is None:
             return
         for row, body in enumerate(self._scene.bodies):
-            for world, place in enumerate(self._moving.get(body.name, ())):
-                place.write(starts[world, row])
+            if body.name in self._moving:
+                for world in chosen:
+                    self._moving[body.name].write(world, starts[world, row])
         for name in self._scene.free_cloths:
             state = starts[0, row_of(self._scene, name)]
             self._cloths[name].set_pose(Pose.of_state(state))
@@ -156,11 +171,8 @@ class SimulationMuJoCo(PlacedSimulation):
     def drive(self, body: str, targets: FloatArray) -> None:
         """Write each world's pose, velocity, and the force that gives the body's large mass the acceleration."""
         if body not in self._driven:
-            self._driven[body] = [
-                _DrivenBody(self.model, data, body) for data in self.datas
-            ]
-        for driven, target in zip(self._driven[body], targets, strict=True):
-            driven.drive(target)
+            self._driven[body] = _DrivenBody(self.model, self.datas, body)
+        self._driven[body].drive(targets)
         for grip in self.grips:
             if grip.body == body:
                 grip.follow()
@@ -174,28 +186,37 @@ class SimulationMuJoCo(PlacedSimulation):
     def advance(self, seconds: float) -> None:
         """Step the model in all worlds."""
         count = round(seconds / self.timestep_s)
+        # Access to the options takes as long as a drive.
+        if self._folds is None:
+            self._step_all(count)
+            return
         flags = self._options.disableflags
-        if self._folds is not None and self._folds.stays_apart(count * self.timestep_s):
+        if self._folds.stays_apart(count * self.timestep_s):
             no_contact = mujoco.mjtDisableBit.mjDSBL_CONTACT
             self._options.disableflags = flags | no_contact
+        self._step_all(count)
+        self._options.disableflags = flags
+
+    def _step_all(self, count: int) -> None:
+        """Step all worlds in threads."""
         apply = map if self._threads is None else self._threads.map
         # One call per thread. Reading the results of the map raises the errors of its calls.
         list(apply(self._step_worlds, range(self._thread_count), repeat(count)))
-        self._options.disableflags = flags
 
     def _step_worlds(self, thread: int, count: int) -> None:
         """Step the worlds of a thread."""
+        is_plain = not self._air and not any(self._force_readers)
         for world in range(thread, self.world_count, self._thread_count):
-            self._step(world, count)
+            if is_plain:
+                mujoco.mj_step(self.model, self.datas[world], nstep=count)
+            else:
+                self._step(world, count)
 
     def _step(self, world: int, count: int) -> None:
-        """Step one world."""
+        """Step one world with air or readers of forces."""
         readers = self._force_readers[world]
         for reader in readers:
             reader.clear()
-        if not self._air and not readers:
-            mujoco.mj_step(self.model, self.datas[world], nstep=count)
-            return
         for _ in range(count):
             for air in self._air:
                 air.apply()
@@ -219,9 +240,21 @@ class SimulationMuJoCo(PlacedSimulation):
         """Return the states of dynamic and driven bodies, shape [N, len(names), 13]."""
         states = np.empty((self.world_count, len(names), 13))
         for row, name in enumerate(names):
-            for world, body in enumerate(self._moving[name]):
-                body.read(states[world, row])
+            self._moving[name].read(states[:, row])
         return states
+
+    def body_positions(self, names: Sequence[str]) -> FloatArray:
+        """Return the positions of bodies [m], shape [N, len(names), 3]."""
+        key = tuple(names)
+        if key not in self._places:
+            bodies = [self._moving.get(name) for name in key]
+            free = [body.places for body in bodies if isinstance(body, _FreeBody)]
+            by_world = [place for places in zip(*free, strict=True) for place in places]
+            self._places[key] = by_world if len(free) == len(bodies) else []
+        places = self._places[key]
+        if not places:
+            return super().body_positions(names)
+        return np.concatenate(places).reshape(self.world_count, -1, 3)
 
     def nodes(self, name: str) -> FloatArray:
         """Return the nodes of a deformable body [m], shape [1, node_count, 3]."""
@@ -287,75 +320,106 @@ def _touches(
 
 
 class _FreeBody:
-    """Views of MuJoCo's arrays with the state of a body on a free joint in one world."""
+    """Views of MuJoCo's arrays with the states of a body on a free joint in all worlds.
 
-    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, name: str) -> None:
-        self._pose, velocity = free_joint_views(model, data, name)
-        self._quaternion = self._pose[3:]
-        self._linear, self._angular = velocity[:3], velocity[3:]
+    Attributes:
+        places: Its position in each world [m], shape [3] each.
+    """
 
-    def write(self, state: FloatArray) -> None:
-        """Write an initial state, shape [13]."""
-        self._pose[:3] = state[:3]
-        self._quaternion[:] = unit_quaternions(state[3:7])
-        self._linear[:] = state[7:10]
+    def __init__(
+        self, model: mujoco.MjModel, datas: Sequence[mujoco.MjData], name: str
+    ) -> None:
+        views = [free_joint_views(model, data, name) for data in datas]
+        self.places = [pose[:3] for pose, _ in views]
+        self._poses = [pose for pose, _ in views]
+        self._quaternions = [pose[3:] for pose, _ in views]
+        self._rates = [rate for _, rate in views]
+        self._spins = [rate[3:] for _, rate in views]
+
+    def write(self, world: int, state: FloatArray) -> None:
+        """Write an initial state of a world, shape [13]."""
+        quaternion = unit_quaternions(state[3:7])
+        self.places[world][:] = state[:3]
+        self._quaternions[world][:] = quaternion
+        self._rates[world][:3] = state[7:10]
         # MuJoCo keeps a free joint's angular velocity in the body frame.
-        back = CONJUGATE * self._quaternion
-        mujoco.mju_rotVecQuat(self._angular, state[10:], back)
+        back = CONJUGATE * quaternion
+        mujoco.mju_rotVecQuat(self._spins[world], state[10:], back)
 
-    def read(self, state: FloatArray) -> None:
-        """Write the state of the body to an array, shape [13]."""
-        state[:7] = self._pose
-        state[7:10] = self._linear
-        mujoco.mju_rotVecQuat(state[10:], self._angular, self._quaternion)
+    def read(self, states: FloatArray) -> None:
+        """Write the states of the body to an array, shape [N, 13]."""
+        states[:, :7] = np.concatenate(self._poses).reshape(-1, 7)
+        states[:, 7:10] = np.concatenate(self._rates).reshape(-1, 6)[:, :3]
+        rows = zip(states[:, 10:], self._spins, self._quaternions, strict=True)
+        for spin, inner, quaternion in rows:
+            mujoco.mju_rotVecQuat(spin, inner, quaternion)
 
 
 class _DrivenBody(_FreeBody):
-    """Views of MuJoCo's arrays with the state, force and mass of a driven body in one world."""
+    """Views of MuJoCo's arrays with the state, force and mass of a driven body in all worlds."""
 
-    def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, name: str) -> None:
-        super().__init__(model, data, name)
+    def __init__(
+        self, model: mujoco.MjModel, datas: Sequence[mujoco.MjData], name: str
+    ) -> None:
+        super().__init__(model, datas, name)
         index = model.body(name).id
-        self._force = data.xfrc_applied[index]
+        self._forces = [data.xfrc_applied[index] for data in datas]
         self._mass_kg = model.body_mass[index : index + 1]
 
-    def drive(self, target: FloatArray) -> None:
-        """Write a row of `Simulation.drive`, shape [19]."""
-        self.write(target[:13])
+    def drive(self, targets: FloatArray) -> None:
+        """Write the targets of `Simulation.drive`, shape [N, 19]."""
+        rates = targets[:, 7:13].copy()
+        # A body that only translates has no spin to rotate into its frame.
+        if rates[:, 3:].any():
+            back = targets[:, 3:7] * CONJUGATE
+            for inner, spin, quaternion in zip(
+                rates[:, 3:], targets[:, 10:13], back, strict=True
+            ):
+                mujoco.mju_rotVecQuat(inner, spin, quaternion)
         # The mass and all moments of inertia of a driven body are the same number.
-        np.multiply(self._mass_kg, target[13:], out=self._force)
+        forces = self._mass_kg * targets[:, 13:]
+        own = zip(self._poses, self._rates, self._forces, strict=True)
+        given = zip(targets[:, :7], rates, forces, strict=True)
+        for (pose, rate, force), (place, speed, push) in zip(own, given, strict=True):
+            pose[:] = place
+            rate[:] = speed
+            force[:] = push
 
 
 class _HingedBody:
-    """A body on a hinge to the world in one world, read through MuJoCo's kinematics.
+    """A body on a hinge to the world in all worlds, read through MuJoCo's kinematics.
 
     Args:
         model: The model.
-        data: MuJoCo's state.
+        datas: MuJoCo's state of each world.
         hinge: The hinge.
         start: Pose of the body at the nominal start.
     """
 
     def __init__(
-        self, model: mujoco.MjModel, data: mujoco.MjData, hinge: Hinge, start: Pose
+        self,
+        model: mujoco.MjModel,
+        datas: Sequence[mujoco.MjData],
+        hinge: Hinge,
+        start: Pose,
     ) -> None:
-        self._model, self._data = model, data
+        self._model, self._datas = model, datas
         self._hinge, self._start = hinge, start
         self._index = model.body(hinge.body).id
         joint = model.body_jntadr[self._index]
-        angle, rate = int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint])
-        self._nominal_rad = float(model.qpos0[angle])
-        self._angle = data.qpos[angle : angle + 1]
-        self._rate = data.qvel[rate : rate + 1]
+        self._angle, self._rate = model.jnt_qposadr[joint], model.jnt_dofadr[joint]
+        self._nominal_rad = float(model.qpos0[self._angle])
 
-    def write(self, state: FloatArray) -> None:
-        """Write an initial state, shape [13]."""
+    def write(self, world: int, state: FloatArray) -> None:
+        """Write an initial state of a world, shape [13]."""
+        data = self._datas[world]
         turned_rad = hinge_angle(self._hinge, self._start, state)
-        self._angle[0] = self._nominal_rad + turned_rad
-        self._rate[0] = state[10:] @ self._hinge.axis
+        data.qpos[self._angle] = self._nominal_rad + turned_rad
+        data.qvel[self._rate] = state[10:] @ self._hinge.axis
 
-    def read(self, state: FloatArray) -> None:
-        """Write the state of the body to an array, shape [13]."""
-        for stage in KINEMATICS:
-            stage(self._model, self._data)
-        state[:] = kinematic_state(self._data, self._index)
+    def read(self, states: FloatArray) -> None:
+        """Write the states of the body to an array, shape [N, 13]."""
+        for data, state in zip(self._datas, states, strict=True):
+            for stage in KINEMATICS:
+                stage(self._model, data)
+            state[:] = kinematic_state(data, self._index)

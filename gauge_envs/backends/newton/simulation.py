@@ -17,7 +17,7 @@ from gauge_envs.backends.shared.rigid import (
 )
 from gauge_envs.backends.simulation import ContactForces, MaterialPoints
 from gauge_envs.scene import Motion, Scene
-from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene.geometry import BoolArray, FloatArray
 from gauge_envs.scene.states import nominal_states, row_of
 
 
@@ -53,7 +53,12 @@ class SimulationNewton(PlacedSimulation):
         }
         self.reset()
 
-    def reset(self, starts: FloatArray | None = None, seed: int = 0) -> None:
+    def reset(
+        self,
+        starts: FloatArray | None = None,
+        seed: int = 0,
+        worlds: BoolArray | None = None,
+    ) -> None:
         """Start all worlds. Newton draws no random numbers here, so the seed has no effect."""
         if starts is None:
             starts = np.broadcast_to(

@@ -14,6 +14,7 @@ from gauge_envs.backends.shared.rigid import (
 from gauge_envs.errors import BackendError
 from gauge_envs.scene import Pose, RigidBody, Scene
 from gauge_envs.scene.geometry import (
+    BoolArray,
     FloatArray,
     pose_distance,
     rotation_matrices,
@@ -45,7 +46,12 @@ class SimulationPhysX(PlacedSimulation):
             raise BackendError("the PhysX simulation is closed: build another one")
         return self._model
 
-    def reset(self, starts: FloatArray | None = None, seed: int = 0) -> None:
+    def reset(
+        self,
+        starts: FloatArray | None = None,
+        seed: int = 0,
+        worlds: BoolArray | None = None,
+    ) -> None:
         """Build the scene at its start. PhysX draws no random numbers, so the seed has no effect."""
         bodies = self._scene.bodies
         if starts is not None:

@@ -18,6 +18,7 @@ from gauge_envs.backends.shared.rigid import (
 from gauge_envs.backends.simulation import ContactForces, MaterialPoints
 from gauge_envs.scene import Motion, Plane, Scene
 from gauge_envs.scene.geometry import (
+    BoolArray,
     FloatArray,
     quaternion_products,
     rotation_matrices,
@@ -52,7 +53,12 @@ class SimulationPyBullet(PlacedSimulation):
         self._model = ModelPyBullet(scene, settings)
         self.reset()
 
-    def reset(self, starts: FloatArray | None = None, seed: int = 0) -> None:
+    def reset(
+        self,
+        starts: FloatArray | None = None,
+        seed: int = 0,
+        worlds: BoolArray | None = None,
+    ) -> None:
         """Build the scene at its start. Bullet draws no random numbers, so the seed has no effect."""
         bodies = self._scene.bodies
         if starts is not None:

@@ -16,7 +16,7 @@ from gauge_envs.backends.shared.rigid import (
     placed_states,
 )
 from gauge_envs.scene import RigidBody, Scene
-from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene.geometry import BoolArray, FloatArray
 from gauge_envs.scene.states import nominal_states
 
 CALLING_THREAD_BODIES = 16
@@ -53,7 +53,12 @@ class SimulationRapier(PlacedSimulation):
             name: bodies[placed.handle] for name, placed in self._layout.items()
         }
 
-    def reset(self, starts: FloatArray | None = None, seed: int = 0) -> None:
+    def reset(
+        self,
+        starts: FloatArray | None = None,
+        seed: int = 0,
+        worlds: BoolArray | None = None,
+    ) -> None:
         """Restore the world of the nominal start, and write given initial states to it. The seed has no effect."""
         world = rapier.PhysicsWorld.restore(self._snapshot)
         is_large = len(self._layout) > CALLING_THREAD_BODIES

@@ -9,7 +9,7 @@ import numpy as np
 from gauge_envs.backends.shared.rigid import later_targets
 from gauge_envs.backends.simulation import ContactForces, MaterialPoints, Simulation
 from gauge_envs.scene import Scene
-from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene.geometry import BoolArray, FloatArray
 from gauge_envs.scene.timing import DRIVE_INTERVAL_S
 
 ROUNDING_S = 1e-9
@@ -54,7 +54,12 @@ class ResampledSimulation(Simulation):
         self._targets: dict[str, FloatArray] = {}
         self._driven_s = 0.0
 
-    def reset(self, starts: FloatArray | None = None, seed: int = 0) -> None:
+    def reset(
+        self,
+        starts: FloatArray | None = None,
+        seed: int = 0,
+        worlds: BoolArray | None = None,
+    ) -> None:
         """Start all worlds."""
         self._inner.reset(starts, seed)
         self._begin()

@@ -79,15 +79,17 @@ def _list_experiments(patterns: Sequence[str], scored: bool, form: Format) -> bo
     variants: list[Variant] = []
     for pattern in patterns or ["*"]:
         variants += matching_variants(pattern)
-    rows = list_rows(dict.fromkeys(variants), notify=note)
+    is_whole = not patterns and not scored
+    has_families = is_whole and form is Format.TEXT
+    names = () if has_families else None
+    rows = list_rows(dict.fromkeys(variants), names=names, notify=note)
     if scored:
         rows = [row for row in rows if row["kind"] != Kind.NONE]
-    table, lines = list_table(rows), [counted(len(rows), "id")]
-    if not patterns and not scored:
+    table = family_table(rows) if has_families else list_table(rows)
+    lines = [counted(len(rows), "id")]
+    if is_whole:
         lines = [f"{lines[0]}; for the ids of a family: gauge list 'SlopeSlider-*'"]
         lines += _beyond_the_benchmark()
-        if form is Format.TEXT:
-            table = family_table(rows)
     print_document(Document(parts=[table, *map(Paragraph, lines)]), form)
     return bool(faults)
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from gauge_envs.backends import LoopedSimulation, Simulation
+from gauge_envs.backends.shared.resampled import ResampledSimulation
 from gauge_envs.fixtures.parts import ball
 from gauge_envs.fixtures.recording import UnsupportedError
 from gauge_envs.scene import Scene
@@ -101,7 +102,8 @@ def worlds_shapes(lab: Lab) -> Measurement:
     """One and three worlds of a stick, a bouncing ball, one on a driven plate and a pendulum; and of cloth.
 
     Number of faults: shapes of what is returned, arrays that change later, arrays of starts that `reset` changes or
-    needs later, a nominal start that not all worlds have, `diverged` that names healthy worlds.
+    needs later, a nominal start that not all worlds have, `diverged` that names healthy worlds; if the engine restarts
+    single worlds, a restart that does not start its world or moves others.
 
     Source: contract (gauge_envs.backends.simulation).
     """
@@ -110,6 +112,9 @@ def worlds_shapes(lab: Lab) -> Measurement:
         for count in (1, 3):
             with closing(lab.build(scene, count)) as simulation:
                 faults.update(_faults(simulation, scene, count))
+                is_whole = isinstance(simulation, ResampledSimulation)
+                if lab.backend.restarts_worlds and not is_whole:
+                    faults.update(_restart_faults(simulation, scene, count))
     return Measurement(measured=len(faults), hint="; ".join(sorted(faults)))
 
 
@@ -139,6 +144,25 @@ def _faults(simulation: Simulation, scene: Scene, count: int) -> list[str]:
         "reset() keeps the array of starts": np.isfinite(later).all(),
         f"diverged() is {reasons}": not reasons,
         "worlds differ right after reset()": not np.ptp(nominal, 0).any(),
+    }
+    return [text for text, fine in is_right.items() if not fine]
+
+
+def _restart_faults(simulation: Simulation, scene: Scene, count: int) -> list[str]:
+    """Return the faults of a restart of the first world after an interval."""
+    initial_states = _initial_states(scene, range(count))
+    simulation.reset(initial_states, 0)
+    start = _read(simulation, scene)
+    _drive(simulation, scene, range(count), 0)
+    simulation.advance(SAMPLE_INTERVAL_S)
+    later = _read(simulation, scene)
+    simulation.reset(initial_states, 0, np.arange(count) == 0)
+    restarted = _read(simulation, scene)
+    is_right = {
+        "reset(worlds) does not start its world": np.array_equal(
+            restarted[:1], start[:1]
+        ),
+        "reset(worlds) moves other worlds": np.array_equal(restarted[1:], later[1:]),
     }
     return [text for text, fine in is_right.items() if not fine]
 

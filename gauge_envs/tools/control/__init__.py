@@ -7,6 +7,7 @@ from gauge_envs.registry import lazy_names
 if TYPE_CHECKING:
     from gauge_envs.tools.control.env import (
         ControlEnv as ControlEnv,
+        ControlVectorEnv as ControlVectorEnv,
         LimitReport as LimitReport,
         Policy as Policy,
         play_paid as play_paid,
@@ -20,7 +21,13 @@ else:
     __getattr__, __all__ = lazy_names(
         __name__,
         {
-            ".env": ["ControlEnv", "LimitReport", "Policy", "play_paid"],
+            ".env": [
+                "ControlEnv",
+                "ControlVectorEnv",
+                "LimitReport",
+                "Policy",
+                "play_paid",
+            ],
             ".ids": ["document", "names", "summary"],
         },
     )

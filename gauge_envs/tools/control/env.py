@@ -1,36 +1,48 @@
-"""Base of the control tasks: a published scene whose driver is the action, stepped at the frame rate of the trials.
+"""Base of the control tasks: a published scene whose driver is the action, in N worlds on the rollout of experiments.
 
 The module of a task reads in the order of dm_control's suite: the numbers of the task; the scene and its limit; the
-hooks of an episode in the order in which `reset` and `step` call them; and the policy of the law.
+hooks of an episode in the order in which `start` and `step` call them; and the policy of the law. `ControlEnv` is one
+world of a task, and `ControlVectorEnv` is N.
 """
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from typing import Any, ClassVar
+from typing import Any, ClassVar, cast
 
 import gymnasium
 import numpy as np
 from gymnasium import spaces
+from gymnasium.envs import registration
+from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
-from gauge_envs.envs.arguments import EnvArguments, checked_action
+from gauge_envs.envs.arguments import (
+    EnvArguments,
+    check_episode_steps,
+    checked_action,
+)
 from gauge_envs.envs.env import GaugeEnv
 from gauge_envs.envs.guards import GuardedEnv, one_thread
-from gauge_envs.envs.initial_states import SEEDS, InitialStates, Scatter
-from gauge_envs.envs.pictures import Pictures, Rendered, rollout_picture
-from gauge_envs.envs.rollout import intervals
+from gauge_envs.envs.initial_states import SEEDS, Draw, InitialStates, Scatter
+from gauge_envs.envs.pictures import (
+    WORLDS_RENDER_MODES,
+    Pictures,
+    Rendered,
+    rollout_picture,
+)
+from gauge_envs.envs.rollout import Rollout
+from gauge_envs.envs.vector import GaugeVectorEnv, WorldsEnv
 from gauge_envs.errors import EpisodeError, ParameterError
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.scene_builder import Parameters
 from gauge_envs.experiments.variants import find_variant
 from gauge_envs.scene import Scene
-from gauge_envs.scene.geometry import FloatArray
-from gauge_envs.scene.states import scene_at
+from gauge_envs.scene.geometry import BoolArray, FloatArray, IntArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLES_PER_FRAME
-from gauge_envs.tools.control.ids import FAMILIES
+from gauge_envs.tools.control.ids import ENTRY_POINT, FAMILIES
 from gauge_envs.tools.control.stage import Stage
 
 MAX_OBSERVATION = 1e5
@@ -106,29 +118,49 @@ class LimitReport:
         return (self.reached - self.limit.value) / self.limit.sigma
 
 
-class ControlEnv(GuardedEnv, gymnasium.Env[FloatArray, NDArray[np.float32]], ABC):
-    """A control task in a published scene of the benchmark; a law gives its true optimum.
+class FrameSamples:
+    """Recording of the current frame of a control task: a reading at its seven samples.
+
+    Args:
+        read: Function that reads all worlds, shape [N, ...].
+
+    Attributes:
+        values: The readings at the start of the frame and after each interval, shape [7, N, ...].
+    """
+
+    def __init__(self, read: Callable[[], FloatArray]) -> None:
+        self._read = read
+        self.values = np.repeat(read()[None], SAMPLES_PER_FRAME + 1, axis=0)
+
+    def start(self, worlds: BoolArray) -> None:
+        """Read the start of worlds."""
+        self.values[:, worlds] = self._read()[worlds]
+
+    def read_points(self, interval: int) -> None:
+        """Read all worlds after an interval of a frame, from 0 to 5."""
+        if interval == 0:
+            self.values[0] = self.values[-1]
+        self.values[interval + 1] = self._read()
+
+    def end_frame(self, is_running: BoolArray) -> None:
+        """Leave the reading of the states to the rollout."""
+
+
+class ControlTask(GuardedEnv, ABC):
+    """A control task in N worlds of a published scene; a law gives its true optimum.
 
     One step is 1/30 s, in six intervals of 1/180 s with a constant action. The action is a Box [-1, 1] with an entry
     for each of `COMMANDED`. The subclass documents what they command, the observation, and the reward with its proof.
-
-    `info`: `frame`, `time_s`, and `diverged` (the reason) if the simulation diverged. The last step of an episode adds
-    `limit`, a `LimitReport` of the policy's result and the law's limit.
+    Its hooks compute all worlds and all samples of a frame at once. An episode that ends within a frame has the
+    observation and the reward of that sample.
 
     Args:
         material: Material of the cube, the ball or the cloth.
-        backend: Name of an installed physics engine.
-        parameters: `published`, another parameter set of the task file, or overrides such as
-            `{"cube.friction": 0.3}`.
-        settings: Numerical settings of the engine that replace the preset and `MUJOCO_TIMESTEPS_S`.
-        render_mode: None; `human` for a window that the mouse turns, drawn by `reset` and `step`; `rgb_array`;
-            `depth_array`, the distance from the plane of the camera [m], float32; `rgbd_tuple`, both.
-        width: Picture width [pixels]; None is 640.
-        height: Picture height [pixels]; None is 480.
-        camera: Entries that replace entries of the scene's camera: `target_m`, `distance_m`, `azimuth_deg` and
-            `elevation_deg`.
-        jitter: Initial-state noise of every episode, as for `GaugeEnv`: `real`, or a `Jitter`. The random numbers of
-            the environment draw it, then the goal, if any.
+        world_count: Number of worlds N.
+        backend: As for `ControlEnv`, like the other arguments.
+        parameters: Parameter set or overrides.
+        settings: Settings of the engine.
+        jitter: Initial-state noise.
 
     Attributes:
         SCENE: Variant whose scene the task uses, without its material, as `Turntable-1`.
@@ -141,28 +173,18 @@ class ControlEnv(GuardedEnv, gymnasium.Env[FloatArray, NDArray[np.float32]], ABC
         COMMANDED: Names of the action's entries.
         OBSERVED: Names of the observation's entries, with units.
         TIME_LIMIT_ENDING: Ending of an episode that reaches its last frame.
+        world_count: Number of worlds N.
         arguments: Variant of the scene, engine, parameters and settings.
         experiment: The experiment, with the drivers and the duration of the task.
         published_scene: The scene of the experiment with its published constants, before the task changes it.
         gravity_m_per_s2: Gravity of the scene.
-        limit: The best that the law allows.
-        rollout: The episode in one world.
-        simulation: The simulation of this world.
-
-    Example:
-        >>> import gymnasium as gym, gauge_envs
-        >>> env = gym.make("GAUGE/SlopeSlider-Limit-metal")
-        >>> _ = env.reset(seed=0)
-        >>> over = False
-        >>> while not over:
-        ...     *_, terminated, truncated, info = env.step(env.unwrapped.law_action(0.98))
-        ...     over = terminated or truncated
-        >>> report = info["limit"]
-        >>> print(report.ending, f"{report.reached:.3f} of {report.limit.value:.3f}, ratio {report.ratio:.2f}")
-        held 0.258 of 0.263, ratio 0.98
+        initial_states: Sampler of the initial states.
+        simulation: The worlds.
+        rollout: The episodes.
+        limits: The largest value that the law allows in each world, shape [N].
+        sigmas: Its standard uncertainty, shape [N].
+        endings: How the episode of each world ended; None before its end.
     """
-
-    metadata = GaugeEnv.metadata
 
     SCENE: ClassVar[str]
     LIMIT: ClassVar[Limit]
@@ -178,18 +200,12 @@ class ControlEnv(GuardedEnv, gymnasium.Env[FloatArray, NDArray[np.float32]], ABC
         self,
         material: str,
         *,
+        world_count: int = 1,
         backend: str = "mujoco",
         parameters: Parameters = "published",
         settings: Mapping[str, Any] | None = None,
-        render_mode: str | None = None,
-        width: int | None = None,
-        height: int | None = None,
-        camera: Mapping[str, Any] | None = None,
         jitter: Scatter = None,
     ) -> None:
-        self.render_mode = render_mode
-        view = {**self.CAMERA, **(camera or {})}
-        self._pictures = Pictures(render_mode, width=width, height=height, camera=view)
         self._variant = find_variant(f"{self.SCENE}-{material}")
         self.published_scene = load_experiment(self._variant).scene
         if self.PARAMETERS:
@@ -208,22 +224,35 @@ class ControlEnv(GuardedEnv, gymnasium.Env[FloatArray, NDArray[np.float32]], ABC
             drivers="action",
         )
         experiment = self.arguments.experiment()
-        scene = replace(self._scene(experiment.scene), duration_s=self.duration_s)
-        self.experiment = replace(experiment, scene=scene, frame_count=self.steps + 1)
+        scene = replace(self._scene(experiment.scene), duration_s=self.duration_s())
+        steps = FAMILIES[self.FAMILY][2]
+        self.experiment = replace(experiment, scene=scene, frame_count=steps + 1)
         self.gravity_m_per_s2 = scene.gravity_m_per_s2
-        self._initial_states = InitialStates(self.experiment, jitter)
-        self.rollout = self.arguments.rollout([self.experiment])
-        self.simulation = self.rollout.simulation
-        self._frame: int | None = None
-        self._ending: Ending | None = None
-        self._observations: list[FloatArray] = []
-        self._start_from(scene)
-        shape = (len(self.OBSERVED),)
-        self.observation_space = spaces.Box(
-            -MAX_OBSERVATION, MAX_OBSERVATION, shape, np.float64
+        self.initial_states = InitialStates(self.experiment, jitter)
+        self.world_count = world_count
+        self._worlds = np.arange(world_count)
+        experiments = [self.experiment] * world_count
+        self.simulation = self.arguments.simulation(experiments, restarts=True)
+        self._dynamic = [body.name for body in scene.dynamic_bodies]
+        self._nominal_limit = self._prepare(scene)
+        self._frame = FrameSamples(self._read)
+        self.rollout = Rollout(
+            experiments,
+            self.simulation,
+            motions=[self._stage] if self._stage else [],
+            recorder=self._frame,
         )
-        # Learners act in single precision.
-        self.action_space = spaces.Box(-1.0, 1.0, (len(self.COMMANDED),), np.float32)
+        self.limits = np.full(world_count, self._nominal_limit[0])
+        self.sigmas = np.full(world_count, self._nominal_limit[1])
+        self.endings: list[Ending | None] = [None] * world_count
+        self._rewarded = np.zeros(world_count)
+        # The sample of the frame that each world shows.
+        self._shown = np.zeros(world_count, dtype=np.intp)
+
+    @classmethod
+    def duration_s(cls) -> float:
+        """Return the length of an episode [s]."""
+        return FAMILIES[cls.FAMILY][2] / FRAME_RATE_HZ
 
     # --- hooks: scene and limit ---
 
@@ -235,74 +264,288 @@ class ControlEnv(GuardedEnv, gymnasium.Env[FloatArray, NDArray[np.float32]], ABC
         return scene
 
     def _follow(self, states: FloatArray) -> None:
-        """Move bodies of the task along with changed initial states, shape [body_count, 13]."""
+        """Move bodies of the task along with changed initial states of a world, shape [body_count, 13]."""
 
     @abstractmethod
     def _prepare(self, scene: Scene) -> tuple[float, float]:
-        """Compute the constants of all episodes with the same initial state.
+        """Compute the constants of all episodes, before the worlds start.
 
         Args:
-            scene: The scene with this state.
+            scene: The scene of the task.
 
         Returns:
-            The largest value that the law allows, and its standard uncertainty.
+            The largest value that the law allows, and its standard uncertainty, from the nominal start.
         """
+
+    def _read(self) -> FloatArray:
+        """Read what the task observes: the states of its dynamic bodies, shape [N, body_count, 13]."""
+        return self.simulation.body_states(self._dynamic)
 
     # --- hooks: an episode ---
 
     @abstractmethod
-    def _begin(self) -> None:
-        """Record the initial state of an episode, which the simulation has."""
+    def _begin(self, worlds: IntArray, randoms: Sequence[np.random.Generator]) -> None:
+        """Record the initial states of episodes, which the simulation has.
 
-    def _before_step(self, command: FloatArray) -> None:
-        """Apply an action other than the acceleration of the stage."""
+        Args:
+            worlds: Numbers of the worlds that begin.
+            randoms: Random numbers of all worlds.
+        """
 
-    @abstractmethod
-    def _after_interval(self) -> Ending | None:
-        """Read the world after 1/180 s; return the ending if the episode ended."""
-
-    @abstractmethod
-    def _total_reward(self) -> float:
-        """Return the sum of all rewards so far, up to a constant; `_ending` is known if the episode ended."""
+    def _before_step(self, commands: FloatArray) -> None:
+        """Apply actions other than the acceleration of the stage, shape [N, len(COMMANDED)]."""
 
     @abstractmethod
-    def _observation(self) -> list[float]:
-        """Return the observation, in the order of `OBSERVED`."""
+    def _after_frame(self) -> None:
+        """Read the samples of the frame, and call `_end` once."""
 
     @abstractmethod
-    def _reached(self) -> float:
+    def _total_reward(self) -> FloatArray:
+        """Return the sum of all rewards so far, up to a constant, shape [N]; `endings` is known."""
+
+    @abstractmethod
+    def _observed(self) -> list[FloatArray]:
+        """Return the columns of the observation, in the order of `OBSERVED`, shape [N] or [N, count] each."""
+
+    @abstractmethod
+    def _reached(self, world: int) -> float:
         """Return the value that the policy reached in a successful episode, in the unit of the limit."""
 
     @abstractmethod
-    def _law_command(self, fraction: float) -> float | FloatArray:
+    def _law_command(self, fraction: float, world: int) -> float | FloatArray:
         """Return the action of `law_action` before it is clipped to [-1, 1]."""
 
-    def law_action(self, fraction: float) -> NDArray[np.float32]:
-        """Return the action of the law's policy, shape [len(COMMANDED)].
+    def law_action(self, fraction: float, world: int = 0) -> NDArray[np.float32]:
+        """Return the action of the law's policy in a world, shape [len(COMMANDED)].
 
         Args:
             fraction: Share of the law's limit that the policy uses. In an engine that obeys the law, a share just below
                 1 succeeds and a share just above 1 fails.
+            world: Number of the world.
         """
-        command = np.atleast_1d(np.float32(self._law_command(fraction)))
+        command = np.atleast_1d(np.float32(self._law_command(fraction, world)))
         return np.clip(command, -1.0, 1.0)
 
-    # --- episode ---
+    # --- episodes ---
+
+    def start(
+        self,
+        worlds: BoolArray,
+        draw: Draw,
+        randoms: Sequence[np.random.Generator],
+        seed: int = 0,
+    ) -> None:
+        """Start an episode in worlds.
+
+        Args:
+            worlds: Which worlds start, shape [N].
+            draw: Source of the initial states.
+            randoms: Random numbers of all worlds.
+            seed: Seed of the engine.
+
+        Raises:
+            ParameterError: The source is a recorded trial.
+        """
+        if isinstance(draw, int):
+            raise ParameterError(
+                f"reset of {self.FAMILY} has no option 'trial': its episodes are no recorded trials"
+            )
+        chosen, starts = np.flatnonzero(worlds), None
+        if draw is not None:
+            nominal = self.initial_states.sample(None, 0)
+            starts = list(self.rollout.initial_states) or [nominal] * len(worlds)
+            for world in chosen.tolist():
+                start_seed = int(randoms[world].integers(SEEDS))
+                starts[world] = self.initial_states.sample(draw, start_seed)
+                self._follow(starts[world].states)
+        self.rollout.reset(starts, seed, worlds)
+        self.limits[chosen], self.sigmas[chosen] = self._nominal_limit
+        self._shown[chosen] = 0
+        for world in chosen.tolist():
+            self.endings[world] = None
+        self._begin(chosen, randoms)
+        self._rewarded[chosen] = self._total_reward()[chosen]
+
+    def step(self, commands: FloatArray) -> tuple[FloatArray, BoolArray, BoolArray]:
+        """Simulate one frame of all worlds.
+
+        Args:
+            commands: Actions from -1 to 1, shape [N, len(COMMANDED)].
+
+        Returns:
+            Rewards, terminations and truncations, shape [N].
+        """
+        self._before_step(commands)
+        self.rollout.step(commands)
+        self._after_frame()
+        total = self._total_reward()
+        rewards, self._rewarded = total - self._rewarded, total
+        for world in self.rollout.diverged:
+            self.endings[world], rewards[world] = Ending.DIVERGED, 0.0
+        terminated = np.array([ending is not None for ending in self.endings])
+        truncated = self.rollout.is_complete & ~terminated
+        for world in np.flatnonzero(truncated).tolist():
+            self.endings[world] = self.TIME_LIMIT_ENDING
+        return rewards, terminated, truncated
+
+    def _end(self, ends: Mapping[Ending, BoolArray]) -> tuple[IntArray, IntArray]:
+        """End episodes at the first sample that ends them.
+
+        Args:
+            ends: Which samples after the intervals have each ending, shape [6, N]; the first ending counts.
+
+        Returns:
+            Index of a value at the sample that each world shows, in arrays of shape [6, N, ...]: the last sample of the
+            frame, or that of the ending.
+        """
+        any_end = np.logical_or.reduce([*ends.values()])
+        last = np.full(self.world_count, SAMPLES_PER_FRAME - 1)
+        for world in np.flatnonzero(any_end.any(axis=0)).tolist():
+            last[world] = sample = int(any_end[:, world].argmax())
+            self.endings[world] = next(
+                ending for ending, masks in ends.items() if masks[sample, world]
+            )
+        self._shown = last + 1
+        return last, self._worlds
 
     @property
-    def steps(self) -> int:
-        """Steps of an episode, one for each frame after the first."""
-        return FAMILIES[self.FAMILY][2]
+    def _offsets(self) -> FloatArray:
+        """Coordinates of the stage [m or rad] that each world shows, shape [N, M]."""
+        assert self._stage is not None
+        return self._stage.offsets[self._shown, self._worlds]
 
     @property
-    def duration_s(self) -> float:
-        """Length of an episode [s]."""
-        return self.steps / FRAME_RATE_HZ
+    def _rates(self) -> FloatArray:
+        """Rates of the coordinates of the stage [m/s or rad/s], shape [N, M]."""
+        assert self._stage is not None
+        return self._stage.rates[self._shown, self._worlds]
 
-    @property
-    def time_s(self) -> float:
-        """Time since the start of the episode [s]."""
-        return (self._frame or 0) / FRAME_RATE_HZ
+    def observation(self) -> FloatArray:
+        """Return the observations, shape [N, len(OBSERVED)]."""
+        return np.column_stack(self._observed())
+
+    def info(self, world: int) -> dict[str, Any]:
+        """Return the `info` of a world without frame and time, see `ControlEnv`."""
+        info: dict[str, Any] = {}
+        if world in self.rollout.diverged:
+            info["diverged"] = self.rollout.diverged[world]
+        if self.endings[world] is not None:
+            info["limit"] = self.report(world)
+        return info
+
+    def limit(self, world: int = 0) -> Limit:
+        """Return the best that the law allows in a world."""
+        value, sigma = float(self.limits[world]), float(self.sigmas[world])
+        return replace(self.LIMIT, value=value, sigma=sigma)
+
+    def report(self, world: int = 0) -> LimitReport:
+        """Return the policy's result in the episode of a world, and the law's limit.
+
+        Raises:
+            EpisodeError: The episode is not over.
+        """
+        ending = self.endings[world]
+        if ending is None:
+            raise EpisodeError(f"{self.FAMILY}: an episode is reported when it is over")
+        return LimitReport(
+            limit=self.limit(world),
+            reached=0.0 if ending in FAILED else self._reached(world),
+            ending=ending,
+            time_s=float(self.rollout.times_s[world]),
+        )
+
+
+def made_task(family: str, *arguments: Any, **options: Any) -> ControlTask:
+    """Return the task of a family; see `ControlTask` for the arguments."""
+    kind: Any = registration.load_env_creator(f"{ENTRY_POINT}.{FAMILIES[family][0]}")
+    return cast("ControlTask", kind(*arguments, **options))
+
+
+def _spaces(task: ControlTask) -> tuple[Any, Any]:
+    """Return the spaces of observations and actions of a world."""
+    bound, shape = MAX_OBSERVATION, (len(task.OBSERVED),)
+    # Learners act in single precision.
+    return (
+        spaces.Box(-bound, bound, shape, np.float64),
+        spaces.Box(-1.0, 1.0, (len(task.COMMANDED),), np.float32),
+    )
+
+
+class ControlEnv(GuardedEnv, gymnasium.Env[FloatArray, NDArray[np.float32]]):
+    """One world of a control task; see `ControlTask` for steps and actions.
+
+    `info`: `frame`, `time_s`, and `diverged` (the reason) if the simulation diverged. The last step of an episode adds
+    `limit`, a `LimitReport` of the policy's result and the law's limit.
+
+    Args:
+        family: Name of the task without its material, as `Throw`.
+        material: Material of the cube, the ball or the cloth.
+        backend: Name of an installed physics engine.
+        parameters: `published`, another parameter set of the task file, or overrides such as
+            `{"cube.friction": 0.3}`.
+        settings: Numerical settings of the engine that replace the preset and `MUJOCO_TIMESTEPS_S`.
+        render_mode: None; `human` for a window that the mouse turns, drawn by `reset` and `step`; `rgb_array`;
+            `depth_array`, the distance from the plane of the camera [m], float32; `rgbd_tuple`, both.
+        width: Picture width [pixels]; None is 640.
+        height: Picture height [pixels]; None is 480.
+        camera: Entries that replace entries of the scene's camera: `target_m`, `distance_m`, `azimuth_deg` and
+            `elevation_deg`.
+        jitter: Initial-state noise of every episode, as for `GaugeEnv`: `real`, or a `Jitter`. The random numbers of
+            the environment draw it, then the goal, if any.
+
+    Attributes:
+        task: The task, with one world; it has the limit and the report.
+        OBSERVED: Names of the observation's entries, with units.
+        COMMANDED: Names of the action's entries.
+        arguments: Variant of the scene, engine, parameters and settings.
+        experiment: The experiment, with the drivers and the duration of the task.
+        rollout: The episode.
+
+    Example:
+        >>> import gymnasium as gym, gauge_envs
+        >>> env = gym.make("GAUGE/SlopeSlider-Limit-metal")
+        >>> _ = env.reset(seed=0)
+        >>> over = False
+        >>> while not over:
+        ...     *_, terminated, truncated, info = env.step(env.unwrapped.law_action(0.98))
+        ...     over = terminated or truncated
+        >>> report = info["limit"]
+        >>> print(report.ending, f"{report.reached:.3f} of {report.limit.value:.3f}, ratio {report.ratio:.2f}")
+        held 0.258 of 0.263, ratio 0.98
+    """
+
+    metadata = GaugeEnv.metadata
+
+    def __init__(
+        self,
+        family: str,
+        material: str,
+        *,
+        backend: str = "mujoco",
+        parameters: Parameters = "published",
+        settings: Mapping[str, Any] | None = None,
+        render_mode: str | None = None,
+        width: int | None = None,
+        height: int | None = None,
+        camera: Mapping[str, Any] | None = None,
+        jitter: Scatter = None,
+    ) -> None:
+        self.render_mode = render_mode
+        self.task = task = made_task(
+            family,
+            material,
+            backend=backend,
+            parameters=parameters,
+            settings=settings,
+            jitter=jitter,
+        )
+        view = {**task.CAMERA, **(camera or {})}
+        self._pictures = Pictures(render_mode, width=width, height=height, camera=view)
+        self.OBSERVED, self.COMMANDED = task.OBSERVED, task.COMMANDED
+        self.arguments, self.experiment = task.arguments, task.experiment
+        self.rollout = task.rollout
+        self._observations: list[FloatArray] = []
+        self.observation_space, self.action_space = _spaces(task)
 
     @one_thread
     def reset(
@@ -319,109 +562,50 @@ class ControlEnv(GuardedEnv, gymnasium.Env[FloatArray, NDArray[np.float32]], ABC
             ParameterError: There is no such option, or no body of the scene can have another initial state.
         """
         super().reset(seed=seed)
-        draw = self._initial_states.of_reset(options, seeded=seed is not None)
-        if isinstance(draw, int):
-            raise ParameterError(
-                f"reset of {self.FAMILY} has no option 'trial': its episodes are no recorded trials"
-            )
-        scene, starts = self.experiment.scene, None
-        if draw is not None:
-            start_seed = int(self.np_random.integers(SEEDS))
-            start = self._initial_states.sample(draw, start_seed)
-            self._follow(start.states)
-            starts = [start]
-            scene = scene_at(scene, start.states)
-        self._start_from(scene)
-        self.rollout.reset(starts, seed or 0)
-        self._frame, self._ending = 0, None
-        self._begin()
-        self._rewarded = self._total_reward()
+        draw = self.task.initial_states.of_reset(options, seeded=seed is not None)
+        self.task.start(np.ones(1, np.bool_), draw, [self.np_random], seed or 0)
         self._observations = []
         return self._observe(), self._info()
 
-    def _start_from(self, scene: Scene) -> None:
-        """Prepare the task and its limit for the initial state of a scene."""
-        value, sigma = self._prepare(scene)
-        self.limit = replace(self.LIMIT, value=value, sigma=sigma)
-
     @one_thread
     def step(self, action: Any) -> tuple[FloatArray, float, bool, bool, dict[str, Any]]:
-        """Simulate one frame, 1/30 s, or less if the episode ends within it.
+        """Simulate one frame, 1/30 s.
 
         Raises:
             ActionError: The action has the wrong shape, is out of range or is not a number.
             EpisodeError: The environment was not reset, or the episode is over.
         """
-        if self._frame is None or self.is_over:
-            raise EpisodeError(f"{self.FAMILY}: call reset before step")
-        command = checked_action(action, self.action_space, self.FAMILY)
-        self._before_step(command)
-        stages = [self._stage] if self._stage else []
-        actions = [command[None]] * len(stages)
-        for index in intervals(self.simulation, stages, 0, SAMPLES_PER_FRAME, actions):
-            for stage in stages:
-                stage.sample = index + 1
-            self._ending = self._after_interval()
-            if self._ending is not None:
-                break
-        before, self._rewarded = self._rewarded, self._total_reward()
-        reward = self._rewarded - before
-        self._frame += 1
-        info = self._info()
-        reason = self.rollout.divergences().get(0)
-        if reason is not None:
-            info["diverged"], self._ending, reward = reason, Ending.DIVERGED, 0.0
-        terminated = self.is_over
-        truncated = not terminated and self._frame == self.steps
-        if truncated:
-            self._ending = self.TIME_LIMIT_ENDING
-        if self.is_over:
-            info["limit"] = self.report()
-        return self._observe(), reward, terminated, truncated, info
+        task = self.task
+        if not self.rollout.has_begun or task.endings[0] is not None:
+            raise EpisodeError(f"{task.FAMILY}: call reset before step")
+        command = checked_action(action, self.action_space, task.FAMILY)
+        (reward,), (terminated,), (truncated,) = task.step(command[None])
+        return (
+            self._observe(),
+            float(reward),
+            bool(terminated),
+            bool(truncated),
+            self._info(),
+        )
+
+    def _info(self) -> dict[str, Any]:
+        frame, time_s = int(self.rollout.frames[0]), float(self.rollout.times_s[0])
+        return {"frame": frame, "time_s": time_s, **self.task.info(0)}
 
     def _observe(self) -> FloatArray:
         """Record and return the observation, and draw it if there is a window."""
-        self._observations.append(np.array(self._observation()))
+        self._observations.append(self.task.observation()[0])
         if self.render_mode == "human":
             self.render()
         return self._observations[-1]
-
-    def _info(self) -> dict[str, Any]:
-        return {"frame": self._frame, "time_s": self.time_s}
 
     def trajectory(self) -> FloatArray:
         """Return the observations of the episode so far, from the start on, shape [frame + 1, len(OBSERVED)]."""
         return np.array(self._observations)
 
-    @property
-    def is_over(self) -> bool:
-        """Whether the episode has ended."""
-        return self._ending is not None
-
-    def report(self) -> LimitReport:
-        """Return the policy's result in the episode and the law's limit.
-
-        Raises:
-            EpisodeError: The episode is not over.
-        """
-        if self._ending is None:
-            raise EpisodeError(f"{self.FAMILY}: an episode is reported when it is over")
-        reached = 0.0 if self._ending in FAILED else self._reached()
-        return LimitReport(
-            limit=self.limit, reached=reached, ending=self._ending, time_s=self.time_s
-        )
-
-    @one_thread
-    def close(self) -> None:
-        """Free the simulation and the renderer. A second call does nothing."""
-        self._pictures.close()
-        self.simulation.close()
-
-    # --- the current world, and its picture ---
-
-    def _state(self, name: str) -> FloatArray:
-        """Return the state of a rigid body, shape [13]."""
-        return self.simulation.body_states((name,))[0, 0]
+    def law_action(self, fraction: float) -> NDArray[np.float32]:
+        """Return the action of the law's policy; see `ControlTask.law_action`."""
+        return self.task.law_action(fraction)
 
     @one_thread
     def render(self) -> Rendered | None:
@@ -429,6 +613,76 @@ class ControlEnv(GuardedEnv, gymnasium.Env[FloatArray, NDArray[np.float32]], ABC
         if self.render_mode is None:
             return None
         return rollout_picture(self._pictures, self.rollout, [None])
+
+    @one_thread
+    def close(self) -> None:
+        """Free the simulation and the renderer. A second call does nothing."""
+        self._pictures.close()
+        self.rollout.simulation.close()
+
+
+class ControlVectorEnv(WorldsEnv):
+    """Worlds of a control task; `gymnasium.make_vec` makes it. Each behaves as a `ControlEnv`.
+
+    Args:
+        family: As for `ControlEnv`.
+        material: As for `ControlEnv`.
+        num_envs: Number of worlds, 1 or more.
+        render_mode: None, `rgb_array`, `depth_array` or `rgbd_tuple`, as for `ControlEnv`.
+        width: Picture width [pixels]; None is 640.
+        height: Picture height [pixels]; None is 480.
+        camera: As for `ControlEnv`.
+        autoreset_mode: Mode of `gymnasium.vector.AutoresetMode`, or its value.
+        max_episode_steps: Steps of an episode; `gymnasium.make_vec` passes those of the spec.
+        **arguments: Other arguments of `ControlTask`; with `jitter` each world has its own initial states.
+
+    Attributes:
+        task: The task.
+    """
+
+    metadata = GaugeVectorEnv.metadata
+
+    def __init__(
+        self,
+        family: str,
+        material: str,
+        num_envs: int = 1,
+        *,
+        render_mode: str | None = None,
+        width: int | None = None,
+        height: int | None = None,
+        camera: Mapping[str, Any] | None = None,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+        max_episode_steps: int | None = None,
+        **arguments: Any,
+    ) -> None:
+        super().__init__(num_envs, autoreset_mode)
+        self.render_mode = render_mode
+        self.task = made_task(family, material, world_count=num_envs, **arguments)
+        check_episode_steps(max_episode_steps, FAMILIES[family][2])
+        self._pictures = Pictures(
+            render_mode,
+            width=width,
+            height=height,
+            camera={**self.task.CAMERA, **(camera or {})},
+            modes=WORLDS_RENDER_MODES,
+        )
+        self._name, self.rollout = family, self.task.rollout
+        self._initial_states = self.task.initial_states
+        self._set_spaces(*_spaces(self.task))
+
+    def _start(self, worlds: BoolArray, given: list[int | None], draw: Draw) -> None:
+        seed = given[int(worlds.argmax())] or 0
+        self.task.start(worlds, draw, self._randoms, seed)
+
+    def _advance(self, actions: FloatArray) -> tuple[FloatArray, BoolArray, BoolArray]:
+        return self.task.step(actions)
+
+    def _observations(self) -> FloatArray:
+        return self.task.observation()
+
+    def _info(self, world: int) -> dict[str, Any]:
+        return self.task.info(world)
 
 
 # --- episodes of policies ---
@@ -448,8 +702,9 @@ def play_paid(
         seed: Seed of the reset, which draws the goal of a task with a goal.
     """
     observation, _ = env.reset(seed=seed)
-    paid = 0.0
-    while not env.is_over:
-        observation, reward, *_ = env.step(policy(observation))
+    paid, over = 0.0, False
+    while not over:
+        observation, reward, terminated, truncated, _ = env.step(policy(observation))
         paid += reward
-    return paid, env.report()
+        over = terminated or truncated
+    return paid, env.task.report()

@@ -1,15 +1,16 @@
 """Swing a hanging cloth as high as a budget of the rod's speed allows."""
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
 from gauge_envs.observables.observer import material_points
 from gauge_envs.scene import Cloth, Scene
-from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene.geometry import FloatArray, IntArray
 from gauge_envs.scene.profiles import CosineProfile
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
-from gauge_envs.tools.control.env import ControlEnv, Ending, Limit
+from gauge_envs.tools.control.env import ControlTask, Ending, Limit
 from gauge_envs.tools.control.stage import FRAME_S, Stage
 
 SPEED_SIGMA = 0.05 / 0.67
@@ -23,7 +24,7 @@ PUSHES = 5
 """Number of pushes in which the law's policy spends the speed: more swing higher, and take longer."""
 
 
-class FlingLimit(ControlEnv):
+class FlingLimit(ControlTask):
     """Swing a hanging cloth up by moving its rod sideways, in the scene of TextileFlinging.
 
     **Law.** Let U be the sum of all changes of the rod's speed. Relative to the rod, only the inertial force gives
@@ -45,7 +46,7 @@ class FlingLimit(ControlEnv):
     Args:
         material: Fabric: `satin`.
 
-    The other arguments are those of `ControlEnv`.
+    The other arguments are those of `ControlTask`.
     """
 
     SCENE = "TextileFlinging"
@@ -84,69 +85,79 @@ class FlingLimit(ControlEnv):
         self._stage = Stage(
             scene,
             self._acceleration_m_per_s2,
+            self.world_count,
             max_rate=recorded.largest_rate,
             strokes=(self._stroke_m,),
             speed_change=self._speed_m_per_s,
         )
-        self._weights = place_weights(cloth, self.rollout.rest_nodes_m[cloth.name])
+        self._cloth = cloth.name
+        rest_m = self.simulation.nodes(cloth.name)[0].copy()
+        self._weights = place_weights(cloth, rest_m)
+        shape = self.world_count, len(PLACES), 2
+        self._start_m, self._places_m, self._velocities = np.zeros((3, *shape))
+        self._left_m_per_s, self._highest_m = np.zeros((2, self.world_count))
         value = 0.5 * self._speed_m_per_s**2 / self.gravity_m_per_s2
         return value, 2.0 * SPEED_SIGMA * value
 
     # --- episode ---
 
-    def _begin(self) -> None:
-        self._start_m = self._seen_m()
-        self._places_m, self._velocities = np.zeros((2, *self._start_m.shape))
-        self._left_m_per_s = self._speed_m_per_s
-        self._highest_m = 0.0
+    def _read(self) -> FloatArray:
+        """Return y and z of centre and lines [m], shape [N, 1 + line_count, 2]."""
+        return (self._weights @ self.simulation.nodes(self._cloth))[..., 1:]
 
-    def _seen_m(self) -> FloatArray:
-        """Return y and z of centre and lines relative to the rod [m], shape [1 + line_count, 2]."""
-        (nodes_m,) = self.rollout.recording.nodes_m().values()
-        return (self._weights @ nodes_m)[:, 1:] - [self._stage.offset[0], 0.0]
+    def _begin(self, worlds: IntArray, randoms: Sequence[np.random.Generator]) -> None:
+        self._start_m[worlds] = self._frame.values[-1, worlds]
+        self._places_m[worlds] = self._velocities[worlds] = 0.0
+        self._left_m_per_s[worlds] = self._speed_m_per_s
+        self._highest_m[worlds] = 0.0
 
-    def _after_interval(self) -> Ending | None:
+    def _after_frame(self) -> None:
         stage = self._stage
-        rose = self._velocities[0, 1] > 0.0
-        places_m = self._seen_m() - self._start_m
-        self._velocities = (places_m - self._places_m) / SAMPLE_INTERVAL_S
-        self._places_m = places_m
-        if abs(stage.offset[0]) >= self._stroke_m:
-            return Ending.LOST
-        self._left_m_per_s = stage.speed_changes_left[stage.sample]
-        self._highest_m = max(self._highest_m, float(places_m[0, 1]))
+        places_m = self._frame.values - self._start_m
+        # Relative to the rod.
+        places_m[..., 0] -= stage.offsets
+        velocities = np.diff(places_m, axis=0) / SAMPLE_INTERVAL_S
+        rises = velocities[:, :, 0, 1] > 0.0
+        rose = np.concatenate([self._velocities[None, :, 0, 1] > 0.0, rises[:-1]])
+        is_lost = np.abs(stage.offsets[1:, :, 0]) >= self._stroke_m
+        counted_m = np.where(is_lost, -np.inf, places_m[1:, :, 0, 1])
+        counted_m[0] = np.maximum(counted_m[0], self._highest_m)
+        left = stage.speed_changes_left[1:]
         # The rest after the last push is a rounding error.
-        if self._left_m_per_s < 1e-9 and rose and self._velocities[0, 1] <= 0.0:
-            return Ending.REACHED
-        return None
+        is_top = (left < 1e-9) & rose & ~rises
+        last = self._end({Ending.LOST: is_lost, Ending.REACHED: is_top})
+        self._places_m, self._velocities = places_m[1:][last], velocities[last]
+        self._left_m_per_s = left[last]
+        self._highest_m = np.maximum.accumulate(counted_m)[last]
 
-    def _total_reward(self) -> float:
-        return self._highest_m / self.limit.value
+    def _total_reward(self) -> FloatArray:
+        return self._highest_m / self.limits
 
-    def _observation(self) -> list[float]:
+    def _observed(self) -> list[FloatArray]:
         return [
-            *self._places_m.ravel(),
-            *self._velocities.ravel(),
-            *self._stage.offset,
-            *self._stage.rate,
+            self._places_m.reshape(self.world_count, -1),
+            self._velocities.reshape(self.world_count, -1),
+            self._offsets,
+            self._rates,
             self._left_m_per_s,
-            self._highest_m / self.limit.value,
-            self.time_s,
+            self._highest_m / self.limits,
+            self.rollout.times_s,
         ]
 
-    def _reached(self) -> float:
-        return self._highest_m
+    def _reached(self, world: int) -> float:
+        return float(self._highest_m[world])
 
     # --- policy of the law ---
 
-    def _law_command(self, fraction: float) -> float:
+    def _law_command(self, fraction: float, world: int) -> float:
         """Return the action that turns the rod's speed, fraction U / 9, against the swing at its lowest point."""
         speed = fraction * self._speed_m_per_s / (2 * PUSHES - 1)
-        place_m, velocity = float(self._places_m[0, 0]), float(self._velocities[0, 0])
+        place_m = float(self._places_m[world, 0, 0])
+        velocity = float(self._velocities[world, 0, 0])
         swings_up = place_m * velocity >= 0.0
         is_low = abs(place_m) <= abs(velocity) * speed / self._acceleration_m_per_s2
         wanted = math.copysign(speed, -velocity if swings_up or is_low else velocity)
-        change = wanted - float(self._stage.rate[0])
+        change = wanted - float(self._rates[world, 0])
         return change / FRAME_S / self._acceleration_m_per_s2
 
 

@@ -1,6 +1,7 @@
 """Turn a turntable or tilt a board as far as a cube that only friction holds allows."""
 
 import math
+from collections.abc import Sequence
 from typing import ClassVar
 
 import numpy as np
@@ -9,12 +10,13 @@ from gauge_envs.references.uncertainties import friction_std
 from gauge_envs.scene import Scene
 from gauge_envs.scene.geometry import (
     FloatArray,
+    IntArray,
     length_of,
     rotation_matrices,
     unit_quaternions,
 )
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLES_PER_FRAME
-from gauge_envs.tools.control.env import ControlEnv, Ending, Limit
+from gauge_envs.tools.control.env import ControlTask, Ending, Limit
 from gauge_envs.tools.control.stage import Stage
 
 CUBE = "cube"
@@ -43,7 +45,7 @@ SLOPE_RAMP_S = 3.0
 """Time in which the law's policy tilts; its acceleration uses only 0.4 % of the friction."""
 
 
-class CubeLimit(ControlEnv):
+class CubeLimit(ControlTask):
     """A cube on a level or tilted face, which only friction holds; the limit is the friction coefficient.
 
     Attributes:
@@ -54,7 +56,7 @@ class CubeLimit(ControlEnv):
     _stage: Stage
 
     def _prepare(self, scene: Scene) -> tuple[float, float]:
-        self._stage = Stage(scene, self.ACCELERATION)
+        self._stage = Stage(scene, self.ACCELERATION, self.world_count)
         # The first contact of each scene is the contact of the cube with the face below it. The uncertainty belongs to
         # the published coefficient, also if an override replaces the coefficient.
         published = self.published_scene.contacts[0].friction
@@ -90,7 +92,7 @@ class FrictionLimit(CubeLimit):
     Args:
         material: Material of the cube: `wood`, `plastic` or `metal`.
 
-    The other arguments are those of `ControlEnv`.
+    The other arguments are those of `ControlTask`.
     """
 
     COMMANDED = ("angular_acceleration",)
@@ -109,78 +111,85 @@ class FrictionLimit(CubeLimit):
         self._start_normal = scene.body(driver.body).pose.matrix[None, :, 2]
         self._point_m = np.array(self._rotation.point_m)
         self._corners_m = scene.body(CUBE).shape.corners_m
+        count = self.world_count
+        self._paid, self._used_now, self._slip_m_per_s = np.zeros((3, count))
+        # The friction used in each frame, and the number of frames with one.
+        self._used = np.zeros((self.experiment.frame_count, count))
+        self._counts = np.zeros(count, dtype=np.intp)
+        self._corners_on_carrier = np.zeros((count, *self._corners_m.shape))
         return super()._prepare(scene)
 
     # --- episode ---
 
-    def _begin(self) -> None:
-        self._used: list[float] = []
-        self._used_now = self._slip_m_per_s = 0.0
-        self._cube_m = np.empty((SAMPLES_PER_FRAME, 3))
-        self._corners_on_carrier = self._corners(self._state(CUBE))
+    def _begin(self, worlds: IntArray, randoms: Sequence[np.random.Generator]) -> None:
+        for array in (self._paid, self._used_now, self._slip_m_per_s, self._counts):
+            array[worlds] = 0
+        self._corners_on_carrier[worlds] = self._corners()[worlds]
 
-    def _after_interval(self) -> Ending | None:
-        state, sample = self._state(CUBE), self._stage.sample
-        self._cube_m[sample - 1] = state[:3]
-        if sample < SAMPLES_PER_FRAME:
-            return None
-        self._used_now = float(self._friction_used().sum()) / SAMPLES_PER_FRAME
-        corners_m = self._corners(state)
+    def _after_frame(self) -> None:
+        self._used_now = self._friction_used().mean(axis=0)
+        corners_m = self._corners()
         moved_m = corners_m - self._corners_on_carrier
         self._corners_on_carrier = corners_m
-        fastest_m = math.sqrt((moved_m * moved_m).sum(axis=1).max())
+        fastest_m = np.sqrt((moved_m * moved_m).sum(axis=-1).max(axis=-1))
         self._slip_m_per_s = fastest_m * FRAME_RATE_HZ
         # A comparison with NaN is false.
-        if not self._slip_m_per_s < SLIP_SPEED_M_PER_S:
-            return Ending.SLIPPED
-        self._used.append(self._used_now)
-        return None
+        holds = self._slip_m_per_s < SLIP_SPEED_M_PER_S
+        self._used[self._counts, self._worlds] = self._used_now
+        self._counts += holds
+        self._paid += np.where(holds, self._used_now, 0.0)
+        for world in np.flatnonzero(~holds).tolist():
+            held = max(self._counts[world] - HOLD_FRAMES, 0)
+            self._paid[world] = self._used[:held, world].sum()
+        at_the_end = np.arange(SAMPLES_PER_FRAME)[:, None] == SAMPLES_PER_FRAME - 1
+        self._end({Ending.SLIPPED: at_the_end & ~holds})
 
     def _friction_used(self) -> FloatArray:
         """Return the tangential over the normal part of the force that carries the cube.
 
         Returns:
-            Values at the ends of the intervals of the frame, shape [interval_count].
+            Values at the ends of the intervals of the frame, shape [6, N].
         """
         stage = self._stage
         # The cross product with the axis.
         across = self._rotation.cross_product
-        around_m = (self._cube_m - self._point_m) @ across
+        around_m = (self._frame.values[1:, :, 0, :3] - self._point_m) @ across
         inward_m = around_m @ across
         # Force per mass [m/s^2]: the acceleration of the carrier, alpha x r + omega^2 r inward, minus gravity.
-        forces = stage.acceleration[0] * around_m + stage.rates[1:] ** 2 * inward_m
-        forces[:, 2] += self.gravity_m_per_s2
+        forces = stage.acceleration * around_m + stage.rates[1:] ** 2 * inward_m
+        forces[..., 2] += self.gravity_m_per_s2
         normals = self._rotation.rotated(self._start_normal, stage.offsets[1:])
-        normal = (forces * normals).sum(axis=1)
-        tangential = forces - normal[:, None] * normals
-        return np.asarray(np.sqrt((tangential * tangential).sum(axis=1)) / normal)
+        normal = (forces * normals).sum(axis=-1)
+        tangential = forces - normal[..., None] * normals
+        return np.asarray(np.sqrt((tangential * tangential).sum(axis=-1)) / normal)
 
-    def _corners(self, state: FloatArray) -> FloatArray:
-        """Return the corners of the cube in the frame of the carrier [m], shape [8, 3], from the state of the cube."""
-        carrier = self._stage.pose
-        rotation = rotation_matrices(unit_quaternions(state[3:7]))
-        corners_m = self._corners_m @ rotation.T + state[:3] - carrier[:3]
-        return corners_m @ rotation_matrices(carrier[3:])
+    def _corners(self) -> FloatArray:
+        """Return the corners of the cubes in the frames of their carriers now [m], shape [N, 8, 3]."""
+        states, carriers = self._frame.values[-1, :, 0], self._stage.poses[-1]
+        rotations = rotation_matrices(unit_quaternions(states[:, 3:7]))
+        corners_m = self._corners_m @ rotations.transpose(0, 2, 1)
+        corners_m += (states[:, :3] - carriers[:, :3])[:, None]
+        return corners_m @ rotation_matrices(carriers[:, 3:])
 
-    def _total_reward(self) -> float:
-        slipped = self._ending is Ending.SLIPPED
-        return sum(self._used[:-HOLD_FRAMES] if slipped else self._used)
+    def _total_reward(self) -> FloatArray:
+        return self._paid.copy()
 
-    def _observation(self) -> list[float]:
-        slip = self._slip_m_per_s / SLIP_SPEED_M_PER_S
+    def _observed(self) -> list[FloatArray]:
         return [
-            *self._stage.offset,
-            *self._stage.rate,
+            self._offsets[:, 0],
+            self._rates[:, 0],
             self._used_now,
-            slip,
-            self.time_s,
+            self._slip_m_per_s / SLIP_SPEED_M_PER_S,
+            self.rollout.times_s,
         ]
 
-    def _reached(self) -> float:
-        if len(self._used) < HOLD_FRAMES:
+    def _reached(self, world: int) -> float:
+        count = int(self._counts[world])
+        if count < HOLD_FRAMES:
             return 0.0
         window = np.ones(HOLD_FRAMES) / HOLD_FRAMES
-        return float(np.convolve(self._used, window, mode="valid").max())
+        means = np.convolve(self._used[:count, world], window, mode="valid")
+        return float(means.max())
 
 
 class TurntableLimit(FrictionLimit):
@@ -208,13 +217,13 @@ class TurntableLimit(FrictionLimit):
     ACCELERATION = 6.0
     """This acceleration reaches the limit in 1.2 s. It uses a friction of 0.046, which adds under 1 % to the limit."""
 
-    def _law_command(self, fraction: float) -> float:
+    def _law_command(self, fraction: float, world: int) -> float:
         """Return the action that approaches omega = sqrt(fraction mu g / r), with r the current radius of the cube."""
-        arm_m = self._state(CUBE)[:3] - self._point_m
+        arm_m = self._frame.values[-1, world, 0, :3] - self._point_m
         radius_m = length_of(arm_m @ self._rotation.cross_product)
-        limit_m_per_s2 = fraction * self.limit.value * self.gravity_m_per_s2
+        limit_m_per_s2 = fraction * self.limits[world] * self.gravity_m_per_s2
         wanted = math.sqrt(limit_m_per_s2 / radius_m)
-        change = wanted - float(self._stage.rate[0])
+        change = wanted - float(self._rates[world, 0])
         return change / TURNTABLE_APPROACH_S / self.ACCELERATION
 
 
@@ -239,11 +248,12 @@ class SlopeSliderLimit(FrictionLimit):
     ACCELERATION = 1.0
     """This acceleration reaches the limit in 1.0 s; the real motor takes 1.2 s to 15 degrees."""
 
-    def _law_command(self, fraction: float) -> float:
+    def _law_command(self, fraction: float, world: int) -> float:
         """Return the action that tilts to tan theta = fraction mu along two parabolas, and stays there."""
         half_s = 0.5 * SLOPE_RAMP_S
-        tilt_rad = math.atan(fraction * self.limit.value)
+        tilt_rad = math.atan(fraction * self.limits[world])
         command = tilt_rad / half_s**2 / self.ACCELERATION
-        if self.time_s < half_s:
+        time_s = self.rollout.times_s[world]
+        if time_s < half_s:
             return command
-        return -command if self.time_s < SLOPE_RAMP_S else 0.0
+        return -command if time_s < SLOPE_RAMP_S else 0.0

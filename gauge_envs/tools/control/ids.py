@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import inspect
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import gymnasium
 from gymnasium.envs import registration
@@ -28,17 +28,21 @@ Registration reads them without the modules of the tasks.
 """
 
 
+ENTRY_POINT = "gauge_envs.tools.control"
+
+
 def register() -> None:
     """Register every control task with Gymnasium; `import gauge_envs` calls this."""
-    for family, (entry_point, materials, episode_steps) in FAMILIES.items():
+    for family, (_, materials, episode_steps) in FAMILIES.items():
         for material in materials:
             key = f"GAUGE/{family}-Limit-{material}"
             if key not in registration.registry:
                 registration.register(
                     id=key,
-                    entry_point=f"gauge_envs.tools.control.{entry_point}",
+                    entry_point=f"{ENTRY_POINT}.env:ControlEnv",
+                    vector_entry_point=f"{ENTRY_POINT}.env:ControlVectorEnv",
                     max_episode_steps=episode_steps,
-                    kwargs={"material": material},
+                    kwargs={"family": family, "material": material},
                 )
 
 
@@ -64,24 +68,24 @@ def document(name: str) -> Document:
     from gauge_envs.pages.table import Facts
     from gauge_envs.pages.text import with_unit
 
-    env: Any = gymnasium.make(f"GAUGE/{name}").unwrapped
-    limit = env.limit
+    task = gymnasium.make(f"GAUGE/{name}").unwrapped.task  # type: ignore[attr-defined]
+    limit = task.limit()
     # The docstrings of the task and of its base, without their arguments.
-    bases = type(env).mro()[:2]
+    bases = type(task).mro()[:2]
     texts = [(inspect.getdoc(base) or "").partition("\n\nArgs:")[0] for base in bases]
     text = "\n\n".join(texts)
     row = {
         "id": f"GAUGE/{name}",
-        "scene": env.experiment.id,
-        "duration_s": env.duration_s,
-        "observed": env.OBSERVED,
+        "scene": task.experiment.id,
+        "duration_s": task.duration_s(),
+        "observed": task.OBSERVED,
         "limit": vars(limit),
         "task": text,
     }
     value = with_unit(f"{limit.value:.4g} +- {limit.sigma:.2g}", limit.unit)
     facts = {
-        "scene": f"that of {env.experiment.id}, for {env.duration_s:g} s",
-        "observed": ", ".join(env.OBSERVED),
+        "scene": f"that of {task.experiment.id}, for {task.duration_s():g} s",
+        "observed": ", ".join(task.OBSERVED),
         "law": limit.law,
         "limit": f"{limit.quantity}: {value}",
         "uncertainty": limit.sigma_source,

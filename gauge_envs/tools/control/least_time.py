@@ -2,15 +2,23 @@
 
 import math
 from abc import abstractmethod
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import ClassVar
 
 import numpy as np
 
-from gauge_envs.scene import Motion, Pose, Scene
-from gauge_envs.scene.geometry import FloatArray, length_of
+from gauge_envs.scene import Motion, Scene
+from gauge_envs.scene.geometry import (
+    BoolArray,
+    FloatArray,
+    IntArray,
+    length_of,
+    quaternion_products,
+    quaternion_vectors,
+)
 from gauge_envs.scene.states import row_of
-from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
+from gauge_envs.scene.timing import SAMPLE_INTERVAL_S, SAMPLES_PER_FRAME
 from gauge_envs.tools.control.env import Ending, Limit
 from gauge_envs.tools.control.friction import CUBE, CubeLimit
 from gauge_envs.tools.control.stage import (
@@ -36,6 +44,9 @@ FALLEN_M = 0.01
 """Height that a carried cube loses as it leaves the plate [m]."""
 ASIDE_SHARE = 0.2
 """Share of the friction with which the law's carrying policy returns to the line; the rest acts along the line."""
+
+CONJUGATE = np.array([1.0, -1.0, -1.0, -1.0])
+"""Factors of a unit quaternion w, x, y, z that give the inverse rotation."""
 
 PUSHER = "pusher"
 PUSHER_SIZE_M = (0.02, 0.12, 0.03)
@@ -74,13 +85,13 @@ class LeastTimeLimit(CubeLimit):
     Args:
         material: Material of the cube: `wood`, `plastic` or `metal`.
 
-    The other arguments are those of `ControlEnv`.
+    The other arguments are those of `ControlTask`.
 
     Attributes:
         DRIVEN: Name of the driven body.
         DISTANCE_M: Distance of the goal.
         MAX_ANGLE_RAD: Largest angle between the goal and the x axis.
-        goal_m: Desired displacement of the cube [m], shape [2].
+        goals_m: Desired displacement of the cube in each world [m], shape [N, 2].
     """
 
     DRIVEN: ClassVar[str]
@@ -105,87 +116,111 @@ class LeastTimeLimit(CubeLimit):
     @staticmethod
     @abstractmethod
     def time_to_go_s(
-        distance_m: float, speed_m_per_s: float, deceleration_m_per_s2: float
-    ) -> float:
-        """Return the remaining time [s] at a distance from the goal, with a speed towards it, negative if away."""
-
-    @abstractmethod
-    def _is_lost(self, driven_from_cube_m: FloatArray, risen_m: float) -> bool:
-        """Return whether the cube can no longer arrive.
+        distance_m: FloatArray, speed_m_per_s: FloatArray, deceleration: FloatArray
+    ) -> FloatArray:
+        """Return the remaining time [s].
 
         Args:
-            driven_from_cube_m: Place of the driven body relative to the cube [m], shape [2].
-            risen_m: Displacement of the cube upwards [m].
+            distance_m: Distance from the goal [m], shape [N].
+            speed_m_per_s: Speed towards it, negative if away [m/s], shape [N].
+            deceleration: Largest deceleration [m/s^2], shape [N].
+        """
+
+    @abstractmethod
+    def _is_lost(
+        self, driven_from_cube_m: FloatArray, risen_m: FloatArray
+    ) -> BoolArray:
+        """Return whether the cube can no longer arrive, shape [6, N].
+
+        Args:
+            driven_from_cube_m: Place of the driven body relative to the cube [m], shape [6, N, 2].
+            risen_m: Displacement of the cube upwards [m], shape [6, N].
         """
 
     # --- episode ---
 
-    def _begin(self) -> None:
-        angle = self.np_random.uniform(-self.MAX_ANGLE_RAD, self.MAX_ANGLE_RAD)
-        self.goal_m = self.DISTANCE_M * np.array([math.cos(angle), math.sin(angle)])
-        self._start = self._cube = self._state(CUBE)
-        self._intervals = 0
-        self._read(self._start)
-
-    def _read(self, before: FloatArray) -> None:
-        """Compute time, place and velocity of the cube from its state and its state before, shape [13]."""
-        # The last frame of an episode may be incomplete.
-        self._time_s = self._intervals * SAMPLE_INTERVAL_S
-        self._cube_velocity = (self._cube - before)[:2] / SAMPLE_INTERVAL_S
-        # Horizontal displacements since the start, and to the goal [m], shape [2].
-        self._moved_m = (self._cube - self._start)[:2]
-        self._to_goal_m = self.goal_m - self._moved_m
-
-    def _after_interval(self) -> Ending | None:
-        self._intervals += 1
-        before, self._cube = self._cube, self._state(CUBE)
-        self._read(before)
-        risen_m = float(self._cube[2] - self._start[2])
-        if self._is_lost(self._driven_from_cube_m, risen_m):
-            return Ending.LOST
-        has_arrived = (
-            math.hypot(*self._to_goal_m) <= TOLERANCE_M
-            and abs(self._yaw_rad) <= TOLERANCE_RAD
-            and math.hypot(*self._cube_velocity) <= REST_M_PER_S
+    def _prepare(self, scene: Scene) -> tuple[float, float]:
+        count = self.world_count
+        self.goals_m, self._moved_m, self._velocity, self._driven_m = np.zeros(
+            (4, count, 2)
         )
-        return Ending.REACHED if has_arrived else None
+        self._yaw_rad, self._time_s = np.zeros((2, count))
+        self._starts = np.zeros((count, 13))
+        return super()._prepare(scene)
 
-    @property
-    def _yaw_rad(self) -> float:
-        """Component along z of the cube's rotation vector since the start [rad]."""
-        start, current = Pose.of_state(self._start), Pose.of_state(self._cube)
-        return float((current.rotation * start.rotation.inv()).as_rotvec()[2])
+    def _begin(self, worlds: IntArray, randoms: Sequence[np.random.Generator]) -> None:
+        for world in worlds.tolist():
+            angle = randoms[world].uniform(-self.MAX_ANGLE_RAD, self.MAX_ANGLE_RAD)
+            direction = np.array([math.cos(angle), math.sin(angle)])
+            self.goals_m[world] = self.DISTANCE_M * direction
+        states = self._frame.values[-1, :, 0]
+        self._starts[worlds] = states[worlds]
+        driven_m = self._stage.poses[-1, :, :2] - states[:, :2]
+        self._driven_m[worlds] = driven_m[worlds]
+        self._moved_m[worlds] = self._velocity[worlds] = 0.0
+        self._yaw_rad[worlds] = self._time_s[worlds] = 0.0
 
-    @property
-    def _driven_from_cube_m(self) -> FloatArray:
-        """Place of the driven body relative to the cube [m], shape [2]."""
-        return self._stage.pose[:2] - self._cube[:2]
+    def _after_frame(self) -> None:
+        cubes = self._frame.values[:, :, 0]
+        velocities = np.diff(cubes[..., :2], axis=0) / SAMPLE_INTERVAL_S
+        cubes = cubes[1:]
+        moved_m: FloatArray = cubes[..., :2] - self._starts[:, :2]
+        driven_m = self._stage.poses[1:, :, :2] - cubes[..., :2]
+        yaws_rad = self._yaws_rad(cubes[..., 3:7])
+        is_lost = self._is_lost(driven_m, cubes[..., 2] - self._starts[:, 2])
+        has_arrived = (
+            (_lengths(self.goals_m - moved_m) <= TOLERANCE_M)
+            & (np.abs(yaws_rad) <= TOLERANCE_RAD)
+            & (_lengths(velocities) <= REST_M_PER_S)
+        )
+        last = self._end({Ending.LOST: is_lost, Ending.REACHED: has_arrived})
+        self._moved_m, self._velocity = moved_m[last], velocities[last]
+        self._yaw_rad, self._driven_m = yaws_rad[last], driven_m[last]
+        # The last frame of an episode may be incomplete.
+        missing = SAMPLES_PER_FRAME - self._shown
+        intervals = self.rollout.frames * SAMPLES_PER_FRAME - missing
+        self._time_s = SAMPLE_INTERVAL_S * intervals.astype(np.float64)
 
-    def _observation(self) -> list[float]:
+    def _yaws_rad(self, quaternions: FloatArray) -> FloatArray:
+        """Return the z component of the rotation vectors since the start [rad], shape [6, N]."""
+        starts = np.broadcast_to(self._starts[:, 3:7] * CONJUGATE, quaternions.shape)
+        turns = quaternion_products(quaternions.reshape(-1, 4), starts.reshape(-1, 4))
+        return quaternion_vectors(turns)[:, 2].reshape(quaternions.shape[:2])
+
+    def _observed(self) -> list[FloatArray]:
         return [
-            *self._to_goal_m,
-            *self._cube_velocity,
+            self.goals_m - self._moved_m,
+            self._velocity,
             self._yaw_rad,
-            *self._driven_from_cube_m,
-            *(self._stage.rate - self._cube_velocity),
+            self._driven_m,
+            self._rates - self._velocity,
             self._time_s,
         ]
 
-    def _total_reward(self) -> float:
-        if self._ending is Ending.REACHED:
-            return ARRIVAL_SHARE * (self._reached() / self.limit.value)
-        return -(1.0 - ARRIVAL_SHARE) * self._time_to_go()
+    def _total_reward(self) -> FloatArray:
+        total: FloatArray = -(1.0 - ARRIVAL_SHARE) * self._times_to_go()
+        for world, ending in enumerate(self.endings):
+            if ending is Ending.REACHED:
+                total[world] = ARRIVAL_SHARE * self._reached(world) / self.limits[world]
+        return total
 
-    def _time_to_go(self) -> float:
+    def _times_to_go(self) -> FloatArray:
         """Return the time to go over its initial value. Speed across the line to the goal adds its braking time."""
-        limit_m_per_s2 = self.limit.value * self.gravity_m_per_s2
-        velocity, to_goal_m = self._cube_velocity, self._to_goal_m
-        left_m = math.hypot(*to_goal_m)
-        speed = float(velocity @ to_goal_m) / left_m if left_m > 0.0 else 0.0
-        across = math.sqrt(max(float(velocity @ velocity) - speed**2, 0.0))
-        at_start_s = self.time_to_go_s(self.DISTANCE_M, 0.0, limit_m_per_s2)
-        now_s = self.time_to_go_s(left_m, speed, limit_m_per_s2)
-        return (now_s + across / limit_m_per_s2) / at_start_s
+        limits_m_per_s2 = self.limits * self.gravity_m_per_s2
+        velocity, to_goal_m = self._velocity, self.goals_m - self._moved_m
+        left_m = _lengths(to_goal_m)
+        speed = (velocity * to_goal_m).sum(axis=-1) / np.maximum(left_m, 1e-300)
+        square = (velocity * velocity).sum(axis=-1) - speed**2
+        across = np.sqrt(np.maximum(square, 0.0))
+        distance_m = np.full_like(left_m, self.DISTANCE_M)
+        at_start_s = self.time_to_go_s(distance_m, 0.0 * speed, limits_m_per_s2)
+        now_s = self.time_to_go_s(left_m, speed, limits_m_per_s2)
+        return (now_s + across / limits_m_per_s2) / at_start_s
+
+
+def _lengths(vectors: FloatArray) -> FloatArray:
+    """Return the lengths of vectors of shape [..., 2]."""
+    return np.asarray(np.hypot(vectors[..., 0], vectors[..., 1]))
 
 
 class CarryLimit(LeastTimeLimit):
@@ -219,37 +254,39 @@ class CarryLimit(LeastTimeLimit):
 
     @staticmethod
     def time_to_go_s(
-        distance_m: float, speed_m_per_s: float, deceleration_m_per_s2: float
-    ) -> float:
+        distance_m: FloatArray, speed_m_per_s: FloatArray, deceleration: FloatArray
+    ) -> FloatArray:
         """Return the least time [s] to rest at the goal: a cube that is too fast passes the goal and comes back."""
-        braked_s = abs(speed_m_per_s) / deceleration_m_per_s2
+        braked_s = np.abs(speed_m_per_s) / deceleration
         braked_m = 0.5 * speed_m_per_s * braked_s
-        if 0.0 < braked_m <= distance_m:
-            fastest = math.sqrt(
-                deceleration_m_per_s2 * distance_m + 0.5 * speed_m_per_s**2
-            )
-            return (2.0 * fastest - speed_m_per_s) / deceleration_m_per_s2
-        left_m = abs(distance_m - braked_m)
-        return braked_s + 2.0 * math.sqrt(left_m / deceleration_m_per_s2)
+        can_brake = (braked_m > 0.0) & (braked_m <= distance_m)
+        square = deceleration * distance_m + 0.5 * speed_m_per_s**2
+        direct_s = (2.0 * np.sqrt(square) - speed_m_per_s) / deceleration
+        left_m = np.abs(distance_m - braked_m)
+        back_s = braked_s + 2.0 * np.sqrt(left_m / deceleration)
+        return np.where(can_brake, direct_s, back_s)
 
-    def _reached(self) -> float:
+    def _reached(self, world: int) -> float:
         """Return a / g with the least acceleration a, which solves 4 a D = (a T + v)^2 - 2 v^2."""
-        time_s, speed = self._time_s, length_of(self._cube_velocity)
-        twice = 4.0 * length_of(self._moved_m) - 2.0 * time_s * speed
+        time_s, speed = float(self._time_s[world]), length_of(self._velocity[world])
+        twice = 4.0 * length_of(self._moved_m[world]) - 2.0 * time_s * speed
         root = math.hypot(twice, 2.0 * time_s * speed)
         return (twice + root) / (2.0 * time_s**2) / self.gravity_m_per_s2
 
-    def _is_lost(self, driven_from_cube_m: FloatArray, risen_m: float) -> bool:
+    def _is_lost(
+        self, driven_from_cube_m: FloatArray, risen_m: FloatArray
+    ) -> BoolArray:
         plate = self.experiment.scene.body(self.DRIVEN).shape
         radius_m = plate.corners_m[:, 0].max()
-        return length_of(driven_from_cube_m) > radius_m or risen_m < -FALLEN_M
+        return (_lengths(driven_from_cube_m) > radius_m) | (risen_m < -FALLEN_M)
 
-    def _law_command(self, fraction: float) -> FloatArray:
+    def _law_command(self, fraction: float, world: int) -> FloatArray:
         """Return the action that accelerates and brakes towards the goal with fraction mu g."""
-        limit_m_per_s2 = fraction * self.limit.value * self.gravity_m_per_s2
-        along = self.goal_m / self.DISTANCE_M
+        limit_m_per_s2 = fraction * float(self.limits[world]) * self.gravity_m_per_s2
+        along = self.goals_m[world] / self.DISTANCE_M
         across = np.array([-along[1], along[0]])
-        left_m, speed = self._to_goal_m, self._stage.rate
+        left_m = self.goals_m[world] - self._moved_m[world]
+        speed = self._rates[world]
         aside = acceleration_to_rest(
             float(left_m @ across), float(speed @ across), ASIDE_SHARE * limit_m_per_s2
         )
@@ -319,34 +356,37 @@ class PushLimit(LeastTimeLimit):
 
     @staticmethod
     def time_to_go_s(
-        distance_m: float, speed_m_per_s: float, deceleration_m_per_s2: float
-    ) -> float:
+        distance_m: FloatArray, speed_m_per_s: FloatArray, deceleration: FloatArray
+    ) -> FloatArray:
         """Return the time [s] of coasting to the goal, or past it and back, if that were possible."""
-        braked_s = abs(speed_m_per_s) / deceleration_m_per_s2
+        braked_s = np.abs(speed_m_per_s) / deceleration
         over_m = 0.5 * speed_m_per_s * braked_s - distance_m
-        if over_m <= 0.0:
-            return math.sqrt(2.0 * distance_m / deceleration_m_per_s2)
-        return braked_s + math.sqrt(2.0 * over_m / deceleration_m_per_s2)
+        coasts_s = np.sqrt(2.0 * distance_m / deceleration)
+        back_s = braked_s + np.sqrt(2.0 * np.maximum(over_m, 0.0) / deceleration)
+        return np.where(over_m <= 0.0, coasts_s, back_s)
 
-    def _reached(self) -> float:
+    def _reached(self, world: int) -> float:
         """Return a / g with the least deceleration a, which solves D = v T + a T^2 / 2, at least 0."""
-        time_s, speed = self._time_s, length_of(self._cube_velocity)
-        braked_m = length_of(self._moved_m) - speed * time_s
+        time_s, speed = float(self._time_s[world]), length_of(self._velocity[world])
+        braked_m = length_of(self._moved_m[world]) - speed * time_s
         return max(2.0 * braked_m / time_s**2, 0.0) / self.gravity_m_per_s2
 
-    def _is_lost(self, driven_from_cube_m: FloatArray, risen_m: float) -> bool:
-        past_m = float(driven_from_cube_m[0]) + self._touching_m
-        return past_m > PAST_M or abs(risen_m) > LIFTED_M
+    def _is_lost(
+        self, driven_from_cube_m: FloatArray, risen_m: FloatArray
+    ) -> BoolArray:
+        past_m = driven_from_cube_m[..., 0] + self._touching_m
+        return (past_m > PAST_M) | (np.abs(risen_m) > LIFTED_M)
 
-    def _law_command(self, fraction: float) -> FloatArray:
+    def _law_command(self, fraction: float, world: int) -> FloatArray:
         """Return the action that pushes until the cube coasts to the goal, if its friction is fraction mu."""
-        braking_m_per_s2 = fraction * self.limit.value * self.gravity_m_per_s2
-        left_m = length_of(self._to_goal_m)
-        direction = self._to_goal_m / max(left_m, 1e-9)
-        speed = float(self._cube_velocity @ direction)
+        braking_m_per_s2 = fraction * float(self.limits[world]) * self.gravity_m_per_s2
+        to_goal_m = self.goals_m[world] - self._moved_m[world]
+        left_m = length_of(to_goal_m)
+        direction = to_goal_m / max(left_m, 1e-9)
+        speed = float(self._velocity[world] @ direction)
         coasts_m = speed * abs(speed) / (2.0 * braking_m_per_s2)
         left_m -= PUSHED_ON_M
-        pusher, wanted = self._stage.rate, np.zeros(2)
+        pusher, wanted = self._rates[world], np.zeros(2)
         if coasts_m < left_m:
             pushed = float(pusher @ direction)
             wanted = (

@@ -1,13 +1,14 @@
 """Swing the pendulum to a height with the least work."""
 
 import math
+from collections.abc import Sequence
 from typing import ClassVar
 
 import numpy as np
 
 from gauge_envs.scene import Hinge, Scene, Sphere
-from gauge_envs.scene.geometry import FloatArray
-from gauge_envs.tools.control.env import ControlEnv, Ending, Limit
+from gauge_envs.scene.geometry import FloatArray, IntArray
+from gauge_envs.tools.control.env import ControlTask, Ending, Limit
 from gauge_envs.tools.control.stage import FRAME_S
 
 BALL = "ball"
@@ -22,7 +23,7 @@ MASS_SIGMA_KG = 1e-4 / math.sqrt(12.0)
 """Uncertainty of the mass [kg]: rounding, as it is published to 0.1 g."""
 
 
-class PendulumLimit(ControlEnv):
+class PendulumLimit(ControlTask):
     """Swing a hanging ball to a height with the least work, in the scene of Pendulum.
 
     **Law.** To raise the ball by h, the motor does at least the work m g h: W >= m g h.
@@ -43,7 +44,7 @@ class PendulumLimit(ControlEnv):
     Args:
         material: Material of the ball: `metal`.
 
-    The other arguments are those of `ControlEnv`.
+    The other arguments are those of `ControlTask`.
     """
 
     SCENE = "Pendulum"
@@ -89,74 +90,85 @@ class PendulumLimit(ControlEnv):
         self._max_torque_n_m = TORQUE_SHARE * self._weight_n * length_m
         self._target_m = length_m * (1.0 - math.cos(TARGET_RAD))
         self._least_work_j = self._weight_n * self._target_m
+        arrays = np.zeros((4, self.world_count))
+        self._angle, self._rate, self._highest_m, self._work_j = arrays
         value = 1.0 / self._weight_n
         return value, value * math.hypot(LENGTH_SIGMA, MASS_SIGMA_KG / ball.mass_kg)
 
     # --- episode ---
 
-    def _begin(self) -> None:
-        self._angle, self._rate = self._swing()
-        self._highest_m = self._work_j = 0.0
+    def _begin(self, worlds: IntArray, randoms: Sequence[np.random.Generator]) -> None:
+        angles, rates = self._swing()
+        self._angle[worlds] = angles[-1, worlds]
+        self._rate[worlds] = rates[-1, worlds]
+        self._highest_m[worlds] = self._work_j[worlds] = 0.0
 
-    def _before_step(self, command: FloatArray) -> None:
-        self._torque_n_m = float(command[0]) * self._max_torque_n_m
-        torque = self._torque_n_m * self._axis
-        self.simulation.apply_wrench(BALL, np.array([[0.0, 0.0, 0.0, *torque]]))
+    def _before_step(self, commands: FloatArray) -> None:
+        self._torque_n_m = commands[:, 0] * self._max_torque_n_m
+        wrenches = np.zeros((self.world_count, 6))
+        wrenches[:, 3:] = self._torque_n_m[:, None] * self._axis
+        self.simulation.apply_wrench(BALL, wrenches)
 
-    def _after_interval(self) -> Ending | None:
-        before = self._angle
-        self._angle, self._rate = self._swing()
-        self._work_j += max(self._torque_n_m * (self._angle - before), 0.0)
-        height_m = self._length_m * (1.0 - math.cos(self._angle))
-        self._highest_m = min(max(self._highest_m, height_m), self._target_m)
-        return Ending.REACHED if self._highest_m == self._target_m else None
+    def _after_frame(self) -> None:
+        angles, rates = self._swing()
+        work_j = np.maximum(self._torque_n_m * np.diff(angles, axis=0), 0.0)
+        work_j = self._work_j + work_j.cumsum(axis=0)
+        heights_m = self._length_m * (1.0 - np.cos(angles[1:]))
+        heights_m[0] = np.maximum(heights_m[0], self._highest_m)
+        highest_m = np.maximum.accumulate(heights_m).clip(max=self._target_m)
+        last = self._end({Ending.REACHED: highest_m == self._target_m})
+        self._angle, self._rate = angles[1:][last], rates[1:][last]
+        self._work_j, self._highest_m = work_j[last], highest_m[last]
 
-    def _swing(self) -> tuple[float, float]:
-        """Return the angle from hanging [rad] and its rate [rad/s]."""
-        state = self._state(BALL)
-        arm = state[:3] - self._anchor_m
-        angle = math.atan2(float(arm @ self._sideways), float(arm @ self._hanging))
-        return angle, float(self._axis @ state[10:])
+    def _swing(self) -> tuple[FloatArray, FloatArray]:
+        """Return the angles from hanging [rad] and their rates [rad/s] at the seven samples, shape [7, N]."""
+        states = self._frame.values[:, :, 0]
+        arms = states[..., :3] - self._anchor_m
+        angles = np.arctan2(arms @ self._sideways, arms @ self._hanging)
+        return angles, states[..., 10:] @ self._axis
 
-    def _total_reward(self) -> float:
+    def _total_reward(self) -> FloatArray:
         spent = self._work_j / self._least_work_j
         return 2.0 * self._highest_m / self._target_m - spent
 
-    def _observation(self) -> list[float]:
+    def _observed(self) -> list[FloatArray]:
         highest = self._highest_m / self._target_m
         work = self._work_j / self._least_work_j
-        return [self._angle, self._rate, highest, work, self.time_s]
+        return [self._angle, self._rate, highest, work, self.rollout.times_s]
 
-    def _reached(self) -> float:
-        return self._target_m / self._work_j
+    def _reached(self, world: int) -> float:
+        return self._target_m / float(self._work_j[world])
 
     # --- policy of the law ---
 
-    def _law_command(self, fraction: float) -> float:
+    def _law_command(self, fraction: float, world: int) -> float:
         """Return a torque along the swing until the work is m g h_t / fraction, and then 0.
 
         A `fraction` below 1 does more than the least work and reaches the target; a `fraction` above 1 does not.
         """
-        left_j = self._least_work_j / fraction - self._work_j
-        has_begun = self._work_j > 0.0
-        direction = math.copysign(1.0, self._rate) if has_begun else 1.0
+        angle, now = float(self._angle[world]), float(self._rate[world])
+        work_j = float(self._work_j[world])
+        left_j = self._least_work_j / fraction - work_j
+        has_begun = work_j > 0.0
+        direction = math.copysign(1.0, now) if has_begun else 1.0
         torque = direction * self._max_torque_n_m
-        rate = self._rate + self._acceleration(torque) * FRAME_S
+        rate = now + self._acceleration(torque, angle) * FRAME_S
+        turned = self._turned(torque, angle, now)
         # Near a turning point a push would brake in the second half of the frame.
-        turns = self._rotation(torque) * direction <= 0.0 or rate * direction <= 0.0
+        turns = turned * direction <= 0.0 or rate * direction <= 0.0
         if left_j <= 0.0 or (has_begun and turns):
             return 0.0
         for _ in range(5):
-            needed = left_j / abs(self._rotation(torque))
+            needed = left_j / abs(self._turned(torque, angle, now))
             torque = direction * min(self._max_torque_n_m, needed)
         return torque / self._max_torque_n_m
 
-    def _acceleration(self, torque_n_m: float) -> float:
+    def _acceleration(self, torque_n_m: float, angle_rad: float) -> float:
         """Return the angular acceleration [rad/s^2]."""
-        gravity = self._weight_n * self._length_m * math.sin(self._angle)
+        gravity = self._weight_n * self._length_m * math.sin(angle_rad)
         return (torque_n_m - gravity) / self._inertia_kg_m2
 
-    def _rotation(self, torque_n_m: float) -> float:
-        """Return the rotation in the next frame [rad], to second order."""
-        mean_rate = self._rate + 0.5 * self._acceleration(torque_n_m) * FRAME_S
-        return mean_rate * FRAME_S
+    def _turned(self, torque_n_m: float, angle_rad: float, rate: float) -> float:
+        """Return the rotation in the next frame [rad], to second order, from a rate [rad/s]."""
+        acceleration = self._acceleration(torque_n_m, angle_rad)
+        return (rate + 0.5 * acceleration * FRAME_S) * FRAME_S

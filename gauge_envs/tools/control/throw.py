@@ -1,14 +1,15 @@
 """Bounce a ball on a plate as high as its restitution allows."""
 
 import math
+from collections.abc import Sequence
 from typing import ClassVar
 
 import numpy as np
 
 from gauge_envs.references.uncertainties import RESTITUTION_SHARE
 from gauge_envs.scene import Scene, Sphere
-from gauge_envs.scene.geometry import FloatArray
-from gauge_envs.tools.control.env import ControlEnv, Ending, Limit
+from gauge_envs.scene.geometry import FloatArray, IntArray
+from gauge_envs.tools.control.env import ControlTask, Ending, Limit
 from gauge_envs.tools.control.stage import (
     FRAME_S,
     X_AXIS,
@@ -76,7 +77,7 @@ def highest_m(drop_m: float, restitution: float, gravity_m_per_s2: float) -> flo
     return drop_m
 
 
-class ThrowLimit(ControlEnv):
+class ThrowLimit(ControlTask):
     """Bounce a falling ball as high as possible with three impacts on a plate, with the ball of BouncingBall.
 
     **Law.** An impact gives a ball at most the speed e v + (1 + e) V. Here v is the speed of the ball and V the speed
@@ -99,7 +100,7 @@ class ThrowLimit(ControlEnv):
     Args:
         material: Material of the ball: `rubber`.
 
-    The other arguments are those of `ControlEnv`.
+    The other arguments are those of `ControlTask`.
     """
 
     SCENE = "BouncingBall"
@@ -147,83 +148,99 @@ class ThrowLimit(ControlEnv):
         self._stage = Stage(
             scene,
             self.ACCELERATION,
+            self.world_count,
             max_rate=SPEED_M_PER_S,
             strokes=(math.inf, STROKE_M),
         )
         # The height of the ball's centre in the world when it lies on the plate at the start.
         self._zero_m = plate.position_m[2] + 0.5 * PLATE_SIZE_M[2] + ball.shape.radius_m
-        self._drop_m = ball.pose.position_m[2] - self._zero_m
-        restitution = scene.contacts[0].restitution
-        gravity = scene.gravity_m_per_s2
-        value = highest_m(self._drop_m, restitution, gravity)
+        self._restitution = scene.contacts[0].restitution
         # The uncertainty belongs to the published coefficient, also if an override replaces the coefficient.
-        std = RESTITUTION_SHARE * self.published_scene.contacts[0].restitution
-        bouncier_m = highest_m(self._drop_m, restitution + std, gravity)
-        started_higher_m = highest_m(self._drop_m + START_STD_M, restitution, gravity)
+        self._std = RESTITUTION_SHARE * self.published_scene.contacts[0].restitution
+        arrays = np.zeros((4, self.world_count))
+        self._from_plate_m, self._height_m, self._highest_m, self._drop_m = arrays
+        self._velocity = np.zeros((self.world_count, 2))
+        self._impacts = np.zeros(self.world_count)
+        return self._limit_of(ball.pose.position_m[2] - self._zero_m)
+
+    def _limit_of(self, drop_m: float) -> tuple[float, float]:
+        """Return the largest height of a ball that falls from a height [m], and its standard uncertainty."""
+        restitution, gravity = self._restitution, self.gravity_m_per_s2
+        value = highest_m(drop_m, restitution, gravity)
+        bouncier_m = highest_m(drop_m, restitution + self._std, gravity)
+        started_higher_m = highest_m(drop_m + START_STD_M, restitution, gravity)
         return value, math.hypot(bouncier_m - value, started_higher_m - value)
 
     # --- episode ---
 
-    def _begin(self) -> None:
-        self._impacts = 0
-        self._read()
-        self._highest_m = self._height_m
+    def _begin(self, worlds: IntArray, randoms: Sequence[np.random.Generator]) -> None:
+        from_plate_m, heights_m, velocities = self._ball()
+        self._from_plate_m[worlds] = from_plate_m[-1, worlds]
+        self._velocity[worlds] = velocities[-1, worlds]
+        self._impacts[worlds] = 0
+        for array in (self._height_m, self._highest_m, self._drop_m):
+            array[worlds] = heights_m[-1, worlds]
+        for world in worlds.tolist():
+            limit = self._limit_of(float(self._drop_m[world]))
+            self.limits[world], self.sigmas[world] = limit
 
-    def _read(self) -> None:
-        """Read the ball's place, along x relative to the plate's centre, and its velocity."""
-        state = self._state(BALL)
-        self._from_plate_m = float(state[0] - self._stage.pose[0])
-        self._height_m = float(state[2]) - self._zero_m
-        self._ball_velocity = state[[7, 9]]
+    def _ball(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return the ball's place from the plate's centre along x, height and velocity at the seven samples."""
+        states = self._frame.values[:, :, 0]
+        from_plate_m = states[..., 0] - self._stage.poses[..., 0]
+        return from_plate_m, states[..., 2] - self._zero_m, states[..., [7, 9]]
+
+    def _after_frame(self) -> None:
+        from_plate_m, heights_m, velocities = self._ball()
+        falls = velocities[:-1, :, 1] < 0.0
+        rises = velocities[1:, :, 1] > 0.0
+        has_turned = falls & rises
         # Whether the ball is above the plate's top, and not near its edges.
-        self._is_inside = abs(self._from_plate_m) <= 0.5 * PLATE_SIZE_M[0] - EDGE_M
+        is_inside = np.abs(from_plate_m) <= 0.5 * PLATE_SIZE_M[0] - EDGE_M
+        is_lost = has_turned & ~(is_inside[:-1] & is_inside[1:])
+        is_lost |= heights_m[1:] < -STROKE_M - PLATE_SIZE_M[2]
+        impacts = self._impacts + has_turned.cumsum(axis=0)
+        counted_m = np.where(is_lost, -np.inf, heights_m[1:])
+        counted_m[0] = np.maximum(counted_m[0], self._highest_m)
+        highest_m = np.maximum.accumulate(counted_m)
+        is_top = (impacts >= IMPACTS) & (velocities[1:, :, 1] < 0.0)
+        last = self._end({Ending.LOST: is_lost, Ending.REACHED: is_top})
+        self._from_plate_m, self._height_m = from_plate_m[1:][last], heights_m[1:][last]
+        self._velocity, self._impacts = velocities[1:][last], impacts[last]
+        self._highest_m = highest_m[last]
 
-    def _after_interval(self) -> Ending | None:
-        fell, was_inside = self._ball_velocity[1] < 0.0, self._is_inside
-        self._read()
-        has_turned = bool(fell and self._ball_velocity[1] > 0.0)
-        self._impacts += has_turned
-        if has_turned and not (was_inside and self._is_inside):
-            return Ending.LOST
-        if self._height_m < -STROKE_M - PLATE_SIZE_M[2]:
-            return Ending.LOST
-        self._highest_m = max(self._highest_m, self._height_m)
-        if self._impacts >= IMPACTS and self._ball_velocity[1] < 0.0:
-            return Ending.REACHED
-        return None
+    def _total_reward(self) -> FloatArray:
+        return self._highest_m / (self.limits - self._drop_m)
 
-    def _total_reward(self) -> float:
-        return self._highest_m / (self.limit.value - self._drop_m)
-
-    def _observation(self) -> list[float]:
+    def _observed(self) -> list[FloatArray]:
         return [
             self._from_plate_m,
             self._height_m,
-            *self._ball_velocity,
-            self._stage.offset[1],
-            *self._stage.rate,
+            self._velocity,
+            self._offsets[:, 1],
+            self._rates,
             self._impacts,
-            self.time_s,
+            self.rollout.times_s,
         ]
 
-    def _reached(self) -> float:
-        return self._highest_m
+    def _reached(self, world: int) -> float:
+        return float(self._highest_m[world])
 
     # --- policy of the law ---
 
-    def _law_command(self, fraction: float) -> FloatArray:
+    def _law_command(self, fraction: float, world: int) -> FloatArray:
         """Return the action that meets the ball near the top of the stroke with the speed fraction V."""
         gravity = self.gravity_m_per_s2
         braking_m_per_s2 = 0.5 * self.ACCELERATION
         speed = fraction * SPEED_M_PER_S
-        velocity_x, velocity_z = self._ball_velocity
-        above_m = self._height_m - MEETING_M
+        velocity_x, velocity_z = self._velocity[world].tolist()
+        above_m = float(self._height_m[world]) - MEETING_M
         square = velocity_z**2 + 2.0 * gravity * above_m
         meets_s = (velocity_z + math.sqrt(max(square, 0.0))) / gravity
-        across_m = self._from_plate_m + float(velocity_x) * meets_s
-        rate_x, rate_z = self._stage.rate.tolist()
+        across_m = float(self._from_plate_m[world]) + velocity_x * meets_s
+        rate_x, rate_z = self._rates[world].tolist()
         across = acceleration_to_rest(across_m, rate_x, braking_m_per_s2)
-        height_m = float(self._stage.offset[1])
+        height_m = float(self._offsets[world, 1])
         # A plate that is on this line in time, half a frame later, meets the ball at its place with its speed.
         if MEETING_M - speed * (meets_s - 0.5 * FRAME_S) >= height_m:
             up = (speed - rate_z) / FRAME_S

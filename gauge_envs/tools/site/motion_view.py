@@ -124,12 +124,11 @@ def _recorded(rollout: Rollout) -> MotionView:
         views_per_frame = 1
     samples_per_view = SAMPLES_PER_FRAME // views_per_frame
     # The initial state is the first view.
-    recording = rollout.recording
-    views = [(recording.poses(), recording.nodes_m())]
+    views = [(rollout.poses(), rollout.nodes_m())]
     while not rollout.is_over[0]:
         for sample in rollout.substeps():
             if (sample + 1) % samples_per_view == 0:
-                views.append((recording.poses(), recording.nodes_m()))
+                views.append((rollout.poses(), rollout.nodes_m()))
     bodies, softs = views[0]
     poses = np.array([[*poses.values()] for poses, _ in views])
     return MotionView(
@@ -139,7 +138,7 @@ def _recorded(rollout: Rollout) -> MotionView:
         nodes_m={
             name: np.array([nodes_m[name] for _, nodes_m in views]) for name in softs
         },
-        markers_m=recording.trajectory().markers_m,
+        markers_m=rollout.recording.trajectory().markers_m,
     )
 
 

@@ -26,11 +26,11 @@ def play(env, policy, *, seed=0):
 
 def with_limit_of(env, nominal):
     """Plant a fault: the task has the limit of another one, as if its simulation did not follow its constants."""
-    start_from = env._start_from
+    begin = env.task._begin
 
-    def start_with_wrong_limit(scene):
-        start_from(scene)
-        env.limit = nominal.limit
+    def begin_with_wrong_limit(worlds, randoms):
+        begin(worlds, randoms)
+        env.task.limits[:] = nominal.task.limits
 
-    env._start_from = start_with_wrong_limit
+    env.task._begin = begin_with_wrong_limit
     return env

@@ -19,9 +19,12 @@ def test_each_id_has_its_limit_and_spaces(name):
     observation, info = env.reset(seed=0)
     assert observation in env.observation_space
     assert env.action_space.shape == (len(env.COMMANDED),)
-    assert gymnasium.spec(f"GAUGE/{name}").max_episode_steps == env.steps
+    assert (
+        gymnasium.spec(f"GAUGE/{name}").max_episode_steps
+        == env.experiment.frame_count - 1
+    )
     assert info == {"frame": 0, "time_s": 0.0}
-    assert 0.0 < env.limit.sigma < env.limit.value
+    assert 0.0 < env.task.limit().sigma < env.task.limit().value
 
 
 def test_wrong_calls_are_errors():
@@ -30,7 +33,7 @@ def test_wrong_calls_are_errors():
         env.step([0.0])
     env.reset(seed=0)
     with pytest.raises(EpisodeError, match="reported when it is over"):
-        env.report()
+        env.task.report()
     for action in ([0.0, 0.0], [1.1], [math.nan], "fast"):
         with pytest.raises(ActionError):
             env.step(action)
@@ -39,7 +42,7 @@ def test_wrong_calls_are_errors():
 def test_a_page_shows_the_law_and_its_limit(gauge):
     assert "e v + (1 + e) V" in gauge("show", "Throw-Limit-rubber").stdout
     row = json.loads(gauge("show", "Throw-Limit-rubber", "--json").stdout)
-    assert row["limit"]["value"] == make("Throw-Limit-rubber").limit.value
+    assert row["limit"]["value"] == make("Throw-Limit-rubber").task.limit().value
     assert (row["duration_s"], len(row["observed"])) == (3.0, 9)
 
 
@@ -47,10 +50,10 @@ def test_a_page_shows_the_law_and_its_limit(gauge):
 
 
 def test_an_override_changes_the_limit_and_not_its_uncertainty():
-    nominal = make("Turntable-Limit-plastic").limit
+    nominal = make("Turntable-Limit-plastic").task.limit()
     overridden = make(
         "Turntable-Limit-plastic", parameters={"cube.friction": 0.2}
-    ).limit
+    ).task.limit()
     scene = load_experiment("Turntable-1-plastic").scene
     assert nominal.value == scene.contacts[0].friction
     assert overridden.value == 0.2
@@ -64,14 +67,14 @@ def test_a_task_steps_as_chosen_unless_a_step_is_given():
         ({"preset": "training", "timestep_s": 1 / 360}, 1 / 360),
     ):
         env = make("SlopeSlider-Limit-wood", settings=settings)
-        assert env.simulation.settings["timestep_s"] == step_s
+        assert env.rollout.simulation.settings["timestep_s"] == step_s
 
 
 def test_a_noisy_start_has_its_limit_and_the_next_start_the_nominal_limit():
     env = make("Throw-Limit-rubber")
-    nominal = env.limit.value
+    nominal = env.task.limit().value
     env.reset(seed=1, options={"jitter": True})
-    assert 1e-6 < abs(env.limit.value - nominal) < 0.01
+    assert 1e-6 < abs(env.task.limit().value - nominal) < 0.01
     env.reset(seed=1, options={"jitter": False})
-    assert env.limit.value == nominal
+    assert env.task.limit().value == nominal
     assert by_law(env)[1].ratio < 1.0

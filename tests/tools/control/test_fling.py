@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from control_episodes import play
+from control_episodes import make, play
 
 from gauge_envs import load_experiment
 from gauge_envs.scene import GRAVITY_M_PER_S2
@@ -18,7 +18,7 @@ SPEED_LEFT, ROD_Y, ROD_SPEED = (
 
 @pytest.fixture(scope="module")
 def env():
-    return FlingLimit("satin", settings=TRAINING)
+    return make("Fling-Limit-satin", settings=TRAINING)
 
 
 def test_limits_of_the_rod_are_those_of_the_recorded_motion(env):
@@ -29,8 +29,10 @@ def test_limits_of_the_rod_are_those_of_the_recorded_motion(env):
     rates = np.gradient(places_m, times_s)
     changes = np.abs(np.diff(rates)).sum()
     rise_m = changes**2 / (2.0 * GRAVITY_M_PER_S2)
-    assert env.limit.value == pytest.approx(rise_m, rel=1e-3)
-    assert env.limit.sigma / env.limit.value == pytest.approx(2.0 * 0.05 / 0.67)
+    assert env.task.limit().value == pytest.approx(rise_m, rel=1e-3)
+    assert env.task.limit().sigma / env.task.limit().value == pytest.approx(
+        2.0 * 0.05 / 0.67
+    )
     # The recording has 0.67 +- 0.05 m/s, half of the sum.
     assert abs(0.5 * changes - 0.67) < 0.05
     observation, _ = env.reset(seed=0)
@@ -49,7 +51,7 @@ def test_the_laws_policy_reaches_more_than_half(env):
 
 def test_a_spent_rod_moves_on_and_an_end_of_the_stroke_loses(env):
     def spending(_):
-        phase = np.searchsorted([0.3, 0.9], env.time_s, side="right")
+        phase = np.searchsorted([0.3, 0.9], env.rollout.times_s[0], side="right")
         return np.array([[1.0, -1.0, 0.3][phase]])
 
     play(env, spending)
@@ -59,5 +61,5 @@ def test_a_spent_rod_moves_on_and_an_end_of_the_stroke_loses(env):
     turned = 2.0 * observed[9, ROD_SPEED] - observed[0, SPEED_LEFT]
     assert observed[-3:, ROD_SPEED] == pytest.approx(turned)
     assert play(env, lambda _: np.ones(1)).ending is Ending.LOST
-    assert env.report().reached == 0.0
+    assert env.task.report().reached == 0.0
     assert play(env, lambda _: np.zeros(1)).ending is Ending.MISSED

@@ -34,13 +34,14 @@ def test_friction_used_is_that_of_the_contact_forces(name):
     for step in range(30):
         # Strongly accelerated all the time, both ways, so that the sign of each term matters.
         observation = env.step(np.array([0.4 if step < 20 else -0.8]))[0]
-        data = env.simulation.data
+        data = env.rollout.simulation.data
         total, wrench = np.zeros(3), np.zeros(6)
         for index, contact in enumerate(data.contact):
-            mujoco.mj_contactForce(env.simulation.model, data, index, wrench)
+            mujoco.mj_contactForce(env.rollout.simulation.model, data, index, wrench)
             total += contact.frame.reshape(3, 3).T @ wrench[:3]
-        pose = env._state(env._stage.body)[:7]
-        assert env._stage.pose == pytest.approx(pose, abs=1e-6)
+        stage = env.task._stage
+        pose = env.rollout.poses()[stage.body]
+        assert stage.poses[-1, 0] == pytest.approx(pose, abs=1e-6)
         normal = rotation_matrices(pose[3:])[:, 2]
         used = np.linalg.norm(total - normal * (total @ normal)) / abs(total @ normal)
         if step % 20 > 5:
@@ -55,7 +56,7 @@ def test_reward_is_the_friction_used_and_slipping_takes_it_back(name):
     holding, _ = by_law(env, 0.95)
     assert holding == pytest.approx(env.trajectory()[1:, 2].sum())
     closer, _ = by_law(env, 0.99)
-    assert holding < closer < env.limit.value * env.steps
+    assert holding < closer < env.task.limits[0] * (env.experiment.frame_count - 1)
     slipped, report = by_law(env, 1.05)
     assert report.ending is Ending.SLIPPED
     used = env.trajectory()[1:-1, 2]
@@ -69,9 +70,9 @@ def test_no_policy_earns_more_than_the_law(name):
     random = np.random.default_rng(0)
 
     def dither(_):
-        share = 0.97 if env.time_s < 3.0 else random.uniform(0.92, 1.06)
+        share = 0.97 if env.rollout.times_s[0] < 3.0 else random.uniform(0.92, 1.06)
         return env.law_action(share)
 
     slip = SLIP_SPEED_M_PER_S / (math.cos(0.27) * GRAVITY_M_PER_S2 * HOLD_S)
     for _ in range(3):
-        assert 0.0 < play(env, dither).reached <= env.limit.value + slip
+        assert 0.0 < play(env, dither).reached <= env.task.limits[0] + slip

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from control_episodes import FAST, by_law, with_limit_of
+from control_episodes import FAST, by_law, make, with_limit_of
 
 from gauge_envs.scene import GRAVITY_M_PER_S2
 from gauge_envs.tools.control.env import Ending, play_paid
@@ -24,7 +24,7 @@ both = pytest.mark.parametrize("task", [CarryLimit, PushLimit])
 
 def made(task, material="wood", **options):
     settings = FAST if task is CarryLimit else SLIDING
-    return task(material, settings=settings, **options)
+    return make(f"{task.FAMILY}-Limit-{material}", settings=settings, **options)
 
 
 # --- the law ---
@@ -72,7 +72,7 @@ def test_push_at_the_law(material):
     paid, report = by_law(env)
     assert report.ending is Ending.REACHED
     # A pusher of 20 m/s^2 in contact needs sqrt(1 + mu g / A) times the least time.
-    share = env.limit.value * GRAVITY_M_PER_S2 / env.ACCELERATION
+    share = env.task.limits[0] * GRAVITY_M_PER_S2 / env.task.ACCELERATION
     assert report.ratio == pytest.approx(1.0 / (1.0 + share), abs=0.06)
     assert 0.7 < paid <= 1.0
 
@@ -80,7 +80,7 @@ def test_push_at_the_law(material):
 def test_yaw_is_relative_to_the_start():
     env = made(CarryLimit)
     observation, _ = env.reset(seed=0, options={"jitter": True})
-    assert abs(env._start[6]) > 1e-4
+    assert abs(env.task._starts[0, 6]) > 1e-4
     assert observation[env.OBSERVED.index("cube_yaw_rad")] == pytest.approx(
         0.0, abs=1e-12
     )
@@ -91,7 +91,7 @@ def test_yaw_is_relative_to_the_start():
     ("action", "ending"), [((0.0, 0.0), Ending.MISSED), ((1.0, 1.0), Ending.LOST)]
 )
 def test_an_episode_without_an_arrival_earns_less_than_a_third(task, action, ending):
-    env = task("wood", settings=FAST)
+    env = make(f"{task.FAMILY}-Limit-wood", settings=FAST)
     paid, report = play_paid(env, lambda _: np.array(action))
     assert report.ending is ending
     assert report.reached == 0.0
@@ -110,11 +110,13 @@ def test_no_motion_beats_the_law(task):
         share, noise = random.uniform(0.9, 1.1), random.uniform(0.0, 0.1)
 
         def policy(_, share=share, noise=noise):
-            noisy = random.normal(0.0, noise if env.time_s < 0.2 else 0.0, 2)
+            noisy = random.normal(
+                0.0, noise if env.rollout.times_s[0] < 0.2 else 0.0, 2
+            )
             return np.clip(env.law_action(share) + noisy, -1.0, 1.0)
 
         paid, report = play_paid(env, policy, seed=seed)
-        assert env.goal_m @ env.goal_m == pytest.approx(env.DISTANCE_M**2)
+        assert np.linalg.norm(env.task.goals_m) == pytest.approx(env.task.DISTANCE_M)
         arrived += report.ending is Ending.REACHED
         assert report.ratio <= 1.0
         assert paid <= 1.0

@@ -10,7 +10,7 @@ from gauge_envs.tools.control.env import Ending
 
 def test_pendulum_returns_at_most_one():
     env = make("Pendulum-Limit-metal")
-    assert env.limit.value == pytest.approx(1.0 / (0.3175 * GRAVITY_M_PER_S2))
+    assert env.task.limits[0] == pytest.approx(1.0 / (0.3175 * GRAVITY_M_PER_S2))
     for fraction in (0.9, 0.98):
         # At the target x = 1, and the work is 1 / fraction.
         paid, report = by_law(env, fraction)

@@ -40,8 +40,8 @@ def test_the_uncertainty_comes_from_restitution_and_start(env):
     value = highest_m(drop, known, GRAVITY_M_PER_S2)
     by_restitution = highest_m(drop, known + 0.1602, GRAVITY_M_PER_S2) - value
     by_start = highest_m(drop + 0.001, known, GRAVITY_M_PER_S2) - value
-    assert env.limit.value == pytest.approx(value)
-    assert env.limit.sigma == pytest.approx(
+    assert env.task.limits[0] == pytest.approx(value)
+    assert env.task.sigmas[0] == pytest.approx(
         math.hypot(by_restitution, by_start), rel=1e-3
     )
 
@@ -75,9 +75,9 @@ def test_an_impact_at_an_edge_loses_the_ball(env, aside_m):
     """Return the law's policy with the ball at a distance from the middle of the plate."""
 
     def aside(_):
-        env._from_plate_m -= aside_m
+        env.task._from_plate_m -= aside_m
         action = env.law_action(1.0)
-        env._from_plate_m += aside_m
+        env.task._from_plate_m += aside_m
         return action
 
     assert (play(env, aside).ending is Ending.LOST) is (aside_m > 0.09)

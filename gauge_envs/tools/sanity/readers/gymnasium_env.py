@@ -100,8 +100,7 @@ def _read_env(
     env: gymnasium.Env, name: str, pair: GeomPair | None
 ) -> TrainingConfiguration:
     inner: Any = env.unwrapped
-    # A control task has a simulation of its own, any other environment of this suite that of its rollout.
-    simulation = getattr(getattr(inner, "rollout", inner), "simulation", None)
+    simulation = getattr(getattr(inner, "rollout", None), "simulation", None)
     if isinstance(simulation, Simulation):
         return _suite_configuration(inner, simulation, name)
     model = getattr(inner, "model", None)
