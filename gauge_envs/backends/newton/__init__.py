@@ -46,6 +46,7 @@ class BackendNewton(BundledBackend):
     title = "Newton"
     color = "#cc79a7"
     marker = "D"
+    restarts_worlds = True
     modules = ("newton", "warp", "mujoco_warp")
     packages = ("newton", "warp-lang", "mujoco-warp", "mujoco")
     settings_for = staticmethod(settings_for)

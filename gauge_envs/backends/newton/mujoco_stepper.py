@@ -73,11 +73,8 @@ class StepperMuJoCo(Stepper):
         self._contacts = self._pipeline.contacts() if self._pipeline else None
         super().__init__(model, solver, driven=driven, timestep_s=settings.timestep_s)
 
-    def reset(self, *args: Any, **given: Any) -> None:
-        """Start all worlds, with the coordinates of joints that belong to the bodies; see `Stepper.reset`."""
-        super().reset(*args, **given)
-        for state in self.states:
-            newton.eval_ik(self.model, state, state.joint_q, state.joint_qd)
+    def _complete(self, state: newton.State) -> None:
+        newton.eval_ik(self.model, state, state.joint_q, state.joint_qd)
 
     def apply_wrench(self, body: int, wrenches: FloatArray) -> None:
         """Apply a force and a torque to a body; see `Simulation.apply_wrench`."""

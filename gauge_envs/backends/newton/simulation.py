@@ -59,7 +59,7 @@ class SimulationNewton(PlacedSimulation):
         seed: int = 0,
         worlds: BoolArray | None = None,
     ) -> None:
-        """Start all worlds. Newton draws no random numbers here, so the seed has no effect."""
+        """Start worlds. Newton draws no random numbers here, so the seed has no effect."""
         if starts is None:
             starts = np.broadcast_to(
                 self._nominal, (self.world_count, *self._nominal.shape)
@@ -71,7 +71,7 @@ class SimulationNewton(PlacedSimulation):
             particles_m = self._stepper.first_particles_m()
             for row, cloth in self._free_cloths.items():
                 particles_m[:, cloth.particles] = cloth.at(starts[:, row])
-        self._stepper.reset([*self._moving.values()], bodies, particles_m)
+        self._stepper.reset([*self._moving.values()], bodies, particles_m, worlds)
 
     def drive(self, body: str, targets: FloatArray) -> None:
         """Prescribe a kinematic body."""

@@ -22,7 +22,7 @@ from gauge_envs.backends.newton.kernels import prescribe
 from gauge_envs.backends.shared.rigid import MeanForces
 from gauge_envs.errors import BackendError
 from gauge_envs.scene import Pose
-from gauge_envs.scene.geometry import FloatArray, IntArray
+from gauge_envs.scene.geometry import BoolArray, FloatArray, IntArray
 
 TO_WARP = [4, 5, 6, 3]
 """Columns of a state's quaternion w x y z in Warp's order x y z w."""
@@ -39,6 +39,20 @@ def rotated(quaternions: FloatArray, vectors: FloatArray) -> FloatArray:
     axes = quaternions[..., :3]
     twice = 2.0 * np.cross(axes, vectors)
     return np.asarray(vectors + quaternions[..., 3:] * twice + np.cross(axes, twice))
+
+
+def _arrays(state: newton.State) -> dict[str, Any]:
+    """Return a copy of each array of a state that has entries, by name."""
+    arrays = {k: v for k, v in vars(state).items() if isinstance(v, wp.array)}
+    return {name: array.numpy().copy() for name, array in arrays.items() if array.size}
+
+
+def _write(array: wp.array, values: Any, worlds: BoolArray) -> None:
+    """Write the values of some worlds, shape [N], into an array."""
+    written = array.numpy().copy()
+    rows = (len(worlds), -1, *written.shape[1:])
+    written.reshape(rows)[worlds] = values.reshape(rows)[worlds]
+    array.assign(written)
 
 
 class Stepper(ABC):
@@ -114,18 +128,21 @@ class Stepper(ABC):
         bodies: Sequence[int] = (),
         initial_states: FloatArray | None = None,
         particles_m: FloatArray | None = None,
+        worlds: BoolArray | None = None,
     ) -> None:
-        """Start all worlds; bodies and particles that are not given start as in the model.
+        """Start worlds; bodies and particles that are not given start as in the model.
 
         Args:
             bodies: Indices of bodies.
             initial_states: Their states, shape [N, len(bodies), 13].
             particles_m: Positions of all particles [m], shape [N, particle_count, 3].
+            worlds: Which worlds start, shape [N]; the others continue. None is all.
         """
+        if worlds is None:
+            worlds = np.ones(self.world_count, dtype=np.bool_)
         state, next_state = self.states
+        before = {} if worlds.all() else _arrays(self.current_state)
         state.assign(self._first)
-        self._targets[:] = 0.0
-        self._elapsed[:] = 0
         poses = self._first_poses.copy()
         if initial_states is not None:
             poses[:, bodies] = initial_states[:, :, [0, 1, 2, *TO_WARP]]
@@ -140,13 +157,23 @@ class Stepper(ABC):
             if poses.size:
                 state.body_q.assign(poses.reshape(-1, 7))
                 state.body_qd.assign(velocities.reshape(-1, 6))
-        for body, row in self._driven_rows.items():
-            self._targets[:, row, [0, 1, 2, *TO_WARP]] = poses[:, body]
         if particles_m is not None:
             state.particle_q.assign(particles_m.reshape(-1, 3))
+        self._elapsed[worlds] = 0
+        self._targets[worlds] = 0.0
+        numbers = np.flatnonzero(worlds)[:, None]
+        for body, row in self._driven_rows.items():
+            self._targets[numbers, row, [0, 1, 2, *TO_WARP]] = poses[worlds, body]
+        self._complete(state)
+        for name, values in before.items():
+            _write(getattr(state, name), values, ~worlds)
         next_state.assign(state)
-        self.solver.reset(state, flags=0)
+        mask = wp.array([*worlds, False], dtype=wp.bool, device=self.model.device)
+        self.solver.reset(state, world_mask=None if worlds.all() else mask, flags=0)
         self.current = 0
+
+    def _complete(self, state: newton.State) -> None:  # noqa: B027
+        """Derive the other arrays of a state from bodies and particles."""
 
     def drive(self, body: int, targets: FloatArray) -> None:
         """Prescribe a kinematic body from the next step on.

@@ -57,10 +57,17 @@ class _Solver(newton.solvers.SolverVBD):
             model.particle_count, dtype=wp.vec3, device=model.device
         )
 
-    def reset(self, state: newton.State, **given: Any) -> None:
+    def reset(
+        self, state: newton.State, world_mask: wp.array | None = None, **given: Any
+    ) -> None:
         """Forget the history of the last steps; see `newton.solvers.SolverVBD.reset`."""
-        super().reset(state, **given)
-        self._last_qd.zero_()
+        super().reset(state, world_mask=world_mask, **given)
+        velocities = np.zeros((self.model.particle_count, 3))
+        if world_mask is not None:
+            kept = ~world_mask.numpy()[:-1, None]
+            velocities += self._last_qd.numpy()
+            velocities *= np.repeat(kept, len(velocities) // len(kept), axis=0)
+        self._last_qd.assign(velocities)
 
     def _initialize_particles(
         self,
