@@ -105,6 +105,7 @@ GROUPS: dict[str, tuple[Entry, ...]] = {
         Entry("SiliconeBeam-52g-silicone", 0.5),
         Entry("CubePush-light"),
         Entry("ObliqueBounce-nospin"),
+        Entry("StripBending-satin", 3.2),
     ),
 }
 

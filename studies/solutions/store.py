@@ -62,7 +62,8 @@ def store_solution(
         f"zero_motion_distance = {moved_mm:.10g}",
     ]
     sidecar = folder / f"{variant}.toml"
-    events = re.search(r"\n\[\[events\]\].*", sidecar.read_text(), re.DOTALL)
+    old = sidecar.read_text(encoding="utf-8") if sidecar.is_file() else ""
+    events = re.search(r"\n\[\[events\]\].*", old, re.DOTALL)
     text = "\n".join(lines) + "\n" + (events.group() if events else "")
     sidecar.write_text(text, encoding="utf-8")
     print(f"{variant:28} u = {u_mm:.3g} of {moved_mm:.4g} mm")

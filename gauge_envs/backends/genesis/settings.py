@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from math import ceil, sqrt
+from math import ceil, inf, sqrt
 from typing import Literal
 
 import numpy as np
 from pydantic import Field, model_validator
 
 from gauge_envs.backends.settings import SteppedSettings, load_presets
-from gauge_envs.backends.shared.cells import CellSize
+from gauge_envs.backends.shared.cells import CellSize, narrow_cell_m
 from gauge_envs.backends.shared.cloth_grid import ClothGrid
 from gauge_envs.backends.shared.soft_rows import lame_constants
 from gauge_envs.scene import Cloth, Contact, Cylinder, Scene, SoftBody, Sphere
@@ -307,7 +307,7 @@ def touching_bodies(scene: Scene) -> Iterator[tuple[str, str, Contact]]:
 
 
 def cloth_cell_m(scene: Scene) -> float:
-    """Return the default edge of the cells [m]: 25 mm, or less where narrow round bodies touch the cloth.
+    """Return the default edge of the cells [m]: 25 mm, or less if the cloth or a round body that touches it is narrow.
 
     Only particles collide. With cells of 1.4 times the radius of a body, a particle is within that radius of any place.
     """
@@ -317,10 +317,8 @@ def cloth_cell_m(scene: Scene) -> float:
     } - cloths
     shapes = [scene.body(name).shape for name in touching]
     radii = [shape.radius_m for shape in shapes if isinstance(shape, Cylinder | Sphere)]
-    return max(
-        FINEST_CELL_M,
-        min([CLOTH_CELL_M, *(CELL_PER_RADIUS * radius for radius in radii)]),
-    )
+    touched_m = min(radii, default=inf) * CELL_PER_RADIUS
+    return min(CLOTH_CELL_M, narrow_cell_m(scene), max(FINEST_CELL_M, touched_m))
 
 
 # --- springs ----------------------------------------------------------------------------------------------------------

@@ -83,9 +83,13 @@ class ClothPartMuJoCo(FlexPart):
             int(numbers[self.flex.id])
             for numbers in (model.flex_edgeadr, model.flex_edgenum)
         )
-        ends_m = self.grid.plane_m[model.flex_edge[first : first + count]]
-        is_diagonal = (np.abs(ends_m[:, 1] - ends_m[:, 0]) > 1e-9).all(axis=1)
-        return np.where(is_diagonal, _diagonal_weight(*self.grid.cell_m), 1.0)
+        edges = model.flex_edge[first : first + count]
+        opposite = model.flex_edgeflap[first : first + count]
+        return np.where(
+            self.grid.is_diagonal(edges),
+            _diagonal_weight(*self.grid.cell_m),
+            self.grid.fold_stiffening(edges, opposite, self.points.attached),
+        )
 
 
 def add_cloth(
@@ -106,8 +110,7 @@ def add_cloth(
         spec: Editable model that contains the rigid bodies.
         cloth: The cloth.
         attachments: Attached regions; a vertex in two regions belongs to the first. A region no deeper than the edge
-            holds one line of vertices, which is a hinge. Two lines clamp the slope, and act as a clamp halfway between
-            them.
+            holds one line of vertices, which is a hinge. Two lines clamp the slope.
         cell_m: Desired edge length of the cells [m]; the nearest length that divides a side is used.
         bending_stiffness_n_m: Plate bending stiffness D, moment per width and curvature [N m]; positive.
         contact_radius_m: Half the thickness with which the cloth collides [m]; half the physical thickness by default.

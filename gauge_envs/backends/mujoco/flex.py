@@ -22,6 +22,7 @@ class Points:
         attached: Attachment of each attached point, by point index.
 
     Attributes:
+        attached: Attachment of each attached point, by point index.
         free: Indices of the points that are not attached, shape [free_count].
         dofs: Their degrees of freedom in the compiled model, shape [free_count, 3]; `bind` sets it.
     """
@@ -34,23 +35,23 @@ class Points:
     ) -> None:
         self._names = list(names)
         self._rest_m = rest_m
-        self._attached = dict(attached)
+        self.attached = dict(attached)
         self.free = np.array(
-            [index for index in range(len(rest_m)) if index not in self._attached],
+            [index for index in range(len(rest_m)) if index not in self.attached],
             dtype=np.intp,
         )
 
     def carriers(self) -> tuple[list[str], list[float]]:
         """Return each point's body, and the flattened positions of all points in the frames of their bodies [m]."""
         owners, places = list(self._names), np.zeros_like(self._rest_m)
-        for index, attachment in self._attached.items():
+        for index, attachment in self.attached.items():
             owners[index] = attachment.body
             places[index] = attachment.pose.to_body(self._rest_m[index])
         return owners, places.ravel().tolist()
 
     def delete_attached(self, spec: mujoco.MjSpec) -> None:
         """Delete the bodies of attached points; a flex that still refers to one of them would be deleted too."""
-        for index in self._attached:
+        for index in self.attached:
             spec.delete(spec.body(self._names[index]))
 
     def bind(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
@@ -61,13 +62,13 @@ class Points:
         self._qpos = data.qpos
         self._qvel = data.qvel
         rows_by_body: dict[str, list[int]] = {}
-        for index, attachment in self._attached.items():
+        for index, attachment in self.attached.items():
             if attachment.motion is not Motion.FIXED:
                 rows_by_body.setdefault(attachment.body, []).append(index)
         # Attached points, their positions in the frame of their body [m], and views of its pose and its velocity.
         self._moving = []
         for body, rows in rows_by_body.items():
-            arms_m = self._attached[rows[0]].pose.to_body(self._rest_m[rows])
+            arms_m = self.attached[rows[0]].pose.to_body(self._rest_m[rows])
             self._moving.append((rows, arms_m, *free_joint_views(model, data, body)))
 
     def set_positions(self, start_m: FloatArray) -> None:

@@ -255,10 +255,7 @@ def settings_for(
         "MuJoCo", presets, preset=_preset_name(scene), changes=overrides
     )
     check_installed(settings.model_dump(), overrides or {})
-    if settings.cell_m is None:
-        default = common_cell_m(scene, {Cloth: CLOTH_CELL_M, Rope: ROPE_CELL_M})
-        return settings.model_copy(update={"cell_m": default})
-    if overrides and "cell_m" in overrides:
+    if settings.cell_m is not None and overrides and "cell_m" in overrides:
         check_cells(
             "MuJoCo",
             scene,
@@ -266,4 +263,7 @@ def settings_for(
             node_limit=NODE_LIMIT,
             soft_nodes_per_edge=2,
         )
-    return settings
+        return settings
+    defaults = {Cloth: settings.cell_m or CLOTH_CELL_M, Rope: ROPE_CELL_M}
+    cell_m = common_cell_m(scene, defaults) or settings.cell_m
+    return settings.model_copy(update={"cell_m": cell_m})

@@ -258,7 +258,7 @@ def add_cloth(
     grid = ClothGrid(cloth, settings.cell_m or CLOTH_CELL_M)
     attached = attached_vertices(grid, cloth, attachments)
     constants = vbd_constants(Fabric.of(cloth)).constants
-    start = len(builder.particle_q)
+    start, first_edge = len(builder.particle_q), len(builder.edge_indices)
     builder.add_cloth_mesh(
         pos=wp.vec3(0.0, 0.0, 0.0),
         rot=wp.quat_identity(),
@@ -275,6 +275,11 @@ def add_cloth(
         particle_radius=0.5 * cloth.thickness_m,
         label=cloth.name,
     )
+    folds = np.array(builder.edge_indices[first_edge:]) - start
+    stiffening = grid.fold_stiffening(folds[:, 2:], folds[:, :2], attached)
+    for edge, factor in enumerate(stiffening.tolist(), first_edge):
+        stiffness, damping = builder.edge_bending_properties[edge]
+        builder.edge_bending_properties[edge] = factor * stiffness, damping
     masses = cloth.areal_density_kg_per_m2 * grid.vertex_areas_m2()
     masses[list(attached)] = 0.0
     builder.particle_mass[start : start + len(masses)] = masses.tolist()

@@ -391,10 +391,12 @@ def _with_cells(
     if isinstance(settings, SettingsMuJoCoWarp):
         return settings
     assert isinstance(settings, SettingsVBD | SettingsLines | SettingsImplicitMPM)
-    if settings.cell_m is None:
-        defaults = {Cloth: CLOTH_CELL_M, SoftBody: SOFT_CELL_M, Rope: ROPE_CELL_M}
-        is_mpm = isinstance(settings, SettingsImplicitMPM)
-        cell_m = VOXEL_M if is_mpm else common_cell_m(scene, defaults)
+    is_mpm = isinstance(settings, SettingsImplicitMPM)
+    if settings.cell_m is None or (scene.has(Cloth) and not is_given):
+        cloth_cell_m = settings.cell_m or CLOTH_CELL_M
+        defaults = {Cloth: cloth_cell_m, SoftBody: SOFT_CELL_M, Rope: ROPE_CELL_M}
+        cell_m = common_cell_m(scene, defaults) or settings.cell_m
+        cell_m = VOXEL_M if is_mpm else cell_m
         return settings.model_copy(update={"cell_m": cell_m})
     if is_given:
         check_cells(

@@ -1,7 +1,7 @@
 """Cells of deformable bodies, for every engine: points of a grid, and the setting of the size with its checks."""
 
 from collections.abc import Mapping
-from math import prod
+from math import inf, prod
 from typing import Annotated
 
 import numpy as np
@@ -14,6 +14,9 @@ from gauge_envs.scene.geometry import FloatArray
 
 CellSize = Annotated[float, Field(ge=5e-4, le=1.0)] | None
 """Setting `cell_m`: edge of the cells of cloth and soft bodies, and length of the segments of ropes and rods [m]."""
+
+FEWEST_ACROSS = 2
+"""Smallest number of default cells across a cloth, so that a narrow strip can bend; an odd number would twist it."""
 
 FEWEST_SEGMENTS: dict[type[Deformable], int] = {Rope: 2, Rod: 4}
 
@@ -68,10 +71,18 @@ def common_cell_m(
 
     Args:
         scene: The scene.
-        defaults: Default size for each kind of body that has one [m].
+        defaults: Default size for each kind of body that has one [m]; a narrow cloth has smaller cells.
     """
     sizes_m = {defaults.get(type(body)) for body in scene.deformables}
-    return sizes_m.pop() if len(sizes_m) == 1 else None
+    cell_m = sizes_m.pop() if len(sizes_m) == 1 else None
+    return cell_m and min(cell_m, narrow_cell_m(scene))
+
+
+def narrow_cell_m(scene: Scene) -> float:
+    """Return the largest default cell of the cloths of a scene [m]; infinite without cloth."""
+    cloths = [body for body in scene.deformables if isinstance(body, Cloth)]
+    widths_m = (min(cloth.size_m) for cloth in cloths)
+    return min(widths_m, default=inf) / FEWEST_ACROSS
 
 
 def _sides_m(body: Deformable) -> tuple[float, ...]:

@@ -48,6 +48,13 @@ class Distance:
     frames: int
     diverged: bool
 
+    @property
+    def share_text(self) -> str:
+        """`rms` over `motion_rms`, as `53 %`; empty if nothing moves."""
+        if not self.motion_rms:
+            return ""
+        return f"{100.0 * self.rms.mean / self.motion_rms:.3g} %"
+
 
 @dataclass(frozen=True, eq=False)
 class TrajectoryGap:

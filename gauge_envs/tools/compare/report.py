@@ -513,7 +513,7 @@ def _distance_tables(comparison: ScoreComparison) -> list[Table]:
             rows.append(row | _distance_texts(distance))
     if not rows:
         return []
-    titles = ("distance", "motion", "threshold", "first exceeded")
+    titles = ("distance", "of the motion", "motion", "threshold", "first exceeded")
     numbers = (Column(title, title, is_number=True) for title in titles)
     return [
         Table(
@@ -528,6 +528,7 @@ def _distance_tables(comparison: ScoreComparison) -> list[Table]:
 def _distance_texts(distance: Distance) -> dict[str, str]:
     texts = {
         "distance": quantity_text(distance.rms.mean),
+        "of the motion": distance.share_text,
         "motion": f"{quantity_text(distance.motion_rms)} {distance.unit}",
         "threshold": f"{quantity_text(distance.threshold)} {distance.unit}",
         "first exceeded": "never",

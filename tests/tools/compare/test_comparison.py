@@ -22,6 +22,7 @@ from gauge_envs.scoring.reference import reference_band
 from gauge_envs.scoring.score import Score
 from gauge_envs.scoring.trajectory import score_trajectory
 from gauge_envs.tools.compare.comparison import compare
+from gauge_envs.tools.compare.experiment_figure import draw_experiment
 from gauge_envs.tools.compare.overview_figure import draw_overview
 from gauge_envs.tools.compare.report import comparison_document
 
@@ -32,7 +33,8 @@ SLIDER, PLASTIC, FOAM, CRADLE, TURNED = (
     "NewtonsCradle-metal",
     "Turntable-1-wood",
 )
-KINDS = {SLIDER: "trials", PLASTIC: "trials", FOAM: "none", CRADLE: "none"}
+BAR = "FoamTwisting-soft"
+KINDS = {SLIDER: "trials", PLASTIC: "trials", FOAM: "none", CRADLE: "none", BAR: "none"}
 RATE_HZ = 180
 
 
@@ -258,6 +260,20 @@ def test_cloth_and_foam_are_compared_by_their_markers():
     assert far.rms.mean == pytest.approx(4.0 * moving / np.sqrt(2.0))
     mean_square = (100.0**2 + 104.0**2) / 2.0
     assert far.motion_rms == pytest.approx(np.sqrt(mean_square / 2.0) * moving)
+    assert far.share_text == "3.92 %"
+
+
+def test_a_picture_of_foam_in_mm_has_no_published_distance_of_faces():
+    results = []
+    for backend in ("mujoco", "newton"):
+        result = made(BAR, backend=backend)
+        markers_mm = np.zeros((31, 84))
+        trajectory = replace(result.trajectory, markers_mm=markers_mm)
+        score = replace(result.score, refused="no score: the scene differs")
+        results.append(replace(result, trajectory=trajectory, score=score))
+    axis = draw_experiment(results).axes[0]
+    assert axis.get_ylabel() == "distance [mm]"
+    assert len(axis.get_lines()) == 1
 
 
 def test_repeats_are_compared_seed_by_seed():
