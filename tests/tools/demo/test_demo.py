@@ -4,6 +4,7 @@ import re
 import shlex
 
 import pytest
+from places import ROOT
 from programs import printed
 
 from gauge_envs.errors import MissingExtraError
@@ -41,6 +42,8 @@ def test_the_numbers_are_those_of_the_real_drops_and_of_the_law(made):
     assert constants < 0.01 * engine
     assert contacts > 10 * 1.41
     assert 95 < policy < 100
+    readme = (ROOT / "README.md").read_text()
+    assert f"creeps {contacts:.0f} mm in 1 s.](docs/images/hero.webp)" in readme
 
 
 def test_the_page_is_one_file_without_network(gauge, tmp_path, made, monkeypatch):
