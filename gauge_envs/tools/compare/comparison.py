@@ -240,10 +240,14 @@ class ScoreComparison:
         """Label of each configuration."""
         return tuple(configuration_labels(self.configurations))
 
+    @property
+    def constants(self) -> list[str]:
+        """Name of the constants of each configuration."""
+        return [_constants(configuration) for configuration in self.configurations]
+
     @cached_property
     def kinds(self) -> tuple[KindComparison, ...]:
         """Ranks within each kind of reference; experiments with several references are left out."""
-        constants = [_constants(configuration) for configuration in self.configurations]
         comparisons: list[KindComparison] = []
         for kind in Kind:
             scored = [
@@ -251,7 +255,7 @@ class ScoreComparison:
                 for experiment in self.experiments
                 if experiment.kind is kind and _is_ranked(experiment)
             ]
-            comparisons += compare_kind(kind, scored, constants)
+            comparisons += compare_kind(kind, scored, self.constants)
         return tuple(comparisons)
 
 
