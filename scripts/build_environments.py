@@ -91,7 +91,7 @@ GROUPS: dict[str, tuple[Entry, ...]] = {
         Entry("TextileFlinging-oxford", 1.8),
         Entry("Funnel-satin", 2.0),
         Entry("RotatingBall-uniform", 2.0),
-        Entry("TableclothPulling-metal", 3.0),
+        Entry("TableclothPulling-metal", 3.0, {"distance_m": 2.0}),
     ),
     "Foam": (
         Entry("FoamStretching-soft", 0.9),
@@ -99,8 +99,8 @@ GROUPS: dict[str, tuple[Entry, ...]] = {
         Entry("FoamShearing-soft", 1.2),
         Entry("FoamTwisting-soft", 2.1),
         Entry("FoamBending-soft", 1.1),
-        Entry("StickStack-soft", 4.0),
-        Entry("CantileverBeam-soft", 0.5),
+        Entry("StickStack-soft", 4.0, {"distance_m": 0.85}),
+        Entry("CantileverBeam-soft", 0.5, {"distance_m": 0.62}),
     ),
     BEYOND: (
         Entry("CubeToss-acrylic", camera={"distance_m": 1.3}),
