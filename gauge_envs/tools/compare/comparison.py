@@ -1,7 +1,6 @@
 """Compare results of any configurations: scores, ranks and distances."""
 
 import math
-from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -44,9 +43,6 @@ from gauge_envs.tools.compare.statistics import (
     ScoreSpread,
     repeats_interval,
 )
-
-QUESTIONS = {"solves": "solves the scene", "like_reality": "like reality"}
-"""Questions that a score answers, by field."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,30 +87,16 @@ class Cell:
             intervals.append(interval)
         return repeats_interval(values, intervals) if values else None
 
-    @cached_property
-    def answers(self) -> dict[str, Counter[Answer]]:
-        """Number of finished repeats with each answer, by question; questions without an answer are left out."""
-        finished = [
+    @property
+    def is_wrong(self) -> bool:
+        """Whether a finished repeat does not solve its scene, or, without a solution, is unlike reality."""
+        scores = [
             result.score
             for result in self.results
             if result.outcome is Outcome.FINISHED
         ]
-        counts = {}
-        for field, question in QUESTIONS.items():
-            known = Counter(filter(None, (getattr(one, field) for one in finished)))
-            if known:
-                counts[question] = known
-        return counts
-
-    @property
-    def answers_text(self) -> str:
-        """The answers of the finished repeats, as `solves the scene: yes`, with counts if they differ."""
-        texts = []
-        for question, counts in self.answers.items():
-            parts = [f"{count} {answer}" for answer, count in counts.items()]
-            answer = next(iter(counts)).value if len(counts) == 1 else ", ".join(parts)
-            texts.append(f"{question}: {answer}")
-        return "; ".join(texts)
+        solved = {score.solves for score in scores} - {None}
+        return Answer.NO in (solved or {score.like_reality for score in scores})
 
 
 @dataclass(frozen=True, kw_only=True)

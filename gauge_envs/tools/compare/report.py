@@ -26,7 +26,6 @@ from gauge_envs.references.kind import Kind
 from gauge_envs.references.published import PUBLISHED_ENGINES
 from gauge_envs.runs.configuration import RunConfiguration
 from gauge_envs.runs.result import Outcome
-from gauge_envs.scoring.answers import Answer
 from gauge_envs.scoring.score import FROM_SOLUTION
 from gauge_envs.tools.compare.comparison import (
     Cell,
@@ -46,6 +45,8 @@ INTERVAL_NOTE = (
     "+-: standard deviation of repeats (how many). -: not run, or not published."
 )
 
+WRONG_NOTE = "*: does not solve the scene; without a solution, unlike reality."
+
 SCALE_NOTE = (
     "RMSE and DTW are divided by the mean of real trials; LSD, MTE and PD by the real value. EL: 0 is ideal. "
     "Distances from a solution are divided by its motion."
@@ -53,7 +54,7 @@ SCALE_NOTE = (
 
 SHORT_NOTE = (
     "Distance over that of real trials, or over the motion of a solution. exact: the exact motion with the same "
-    "constants. *: does not solve the scene; without a solution, unlike reality. --format wide: intervals."
+    "constants. --format wide: intervals."
 )
 
 RANK_NOTE = "[best, worst] rank that the uncertainty allows, among configurations with the same constants."
@@ -437,14 +438,9 @@ def _score_text(
         unit = experiment.unit_of(metric)
         texts.insert(0, score_cell_text(cell, metric, unit, is_full=is_full))
     text = ", ".join(filter(None, texts))
-    is_primary = metric in (experiment.primary, None)
-    if not is_primary or not cell.answers:
-        return text or "no score"
-    if is_full or not text:
-        return f"{text} {cell.answers_text}".strip()
-    # The first question with an answer: a right solution of wrong constants is unlike reality, too.
-    counts = next(iter(cell.answers.values()))
-    return f"{text} *" if counts[Answer.NO] else text
+    if metric in (experiment.primary, None) and cell.is_wrong:
+        text += " *"
+    return text or "no score"
 
 
 def _outcome_texts(cell: Cell) -> list[str]:
@@ -463,9 +459,9 @@ def _score_notes(comparison: ScoreComparison, *, is_full: bool) -> Iterator[str]
     """Yield the notes of the table of scores."""
     if is_full:
         yield SCALE_NOTE
-        yield INTERVAL_NOTE
+        yield f"{INTERVAL_NOTE} {WRONG_NOTE}"
     else:
-        yield SHORT_NOTE
+        yield f"{SHORT_NOTE} {WRONG_NOTE}"
     yield " ".join(_configuration_notes(comparison.configurations))
     for note in comparison.notes:
         yield f"Note: {note}."

@@ -316,8 +316,8 @@ def test_the_tables_show_each_outcome(gauge, tmp_path):
     assert "cut.json: not a result file" in result.stderr
     text = result.stdout
     for cell in (
-        "0.51 +- 0.14 (2) like reality: yes",
-        "5.00 like reality: no",
+        "| 0.51 +- 0.14 (2) |",
+        r"| 5.00 \* |",
         "| mujoco, iterations=5 |",
         "| diverged |",
         "| LSD | 0.50 |",
