@@ -225,7 +225,7 @@ class ScoreComparison:
     @property
     def constants(self) -> list[str]:
         """Name of the constants of each configuration."""
-        return [_constants(configuration) for configuration in self.configurations]
+        return [constants_of(configuration) for configuration in self.configurations]
 
     @cached_property
     def kinds(self) -> tuple[KindComparison, ...]:
@@ -241,9 +241,9 @@ class ScoreComparison:
         return tuple(comparisons)
 
 
-def _constants(configuration: RunConfiguration) -> str:
+def constants_of(configuration: RunConfiguration, digits: int = 17) -> str:
     """Return the name of the constants of a configuration: its parameters and its modified scene."""
-    parts = configuration_parts(configuration, digits=17)
+    parts = configuration_parts(configuration, digits=digits)
     return ", ".join(text for part, text in parts if part in ("parameters", "asset"))
 
 

@@ -31,6 +31,7 @@ from gauge_envs.tools.compare.comparison import (
     Cell,
     ExperimentComparison,
     ScoreComparison,
+    constants_of,
 )
 from gauge_envs.tools.compare.distance import MOTION_SHARE, Distance
 from gauge_envs.tools.compare.ranks import KindComparison, Mean
@@ -374,13 +375,15 @@ def _exact_columns(
     members: dict[str, list[int]] = {}
     for index, constants in enumerate(comparison.constants):
         members.setdefault(constants, []).append(index)
-    for constants, indices in members.items():
-        key = f"exact, {constants}"
+    for indices in members.values():
+        key = f"exact {indices[0]}"
         for row in rows:
             exact = [row["exact"][index] for index in indices if row["is_primary"]]
             row[key] = next((value for value in exact if value is not None), None)
         if any(row[key] is not None for row in rows):
-            title = key if len(members) > 1 else "exact"
+            title = "exact"
+            if len(members) > 1:
+                title += f", {constants_of(comparison.configurations[indices[0]], 6)}"
             yield Column(key, title, score_text, is_number=True)
 
 

@@ -191,6 +191,27 @@ def test_a_large_difference_ranks(real):
     assert answer([real[SLIDER]]).startswith("No ranks")
 
 
+def test_the_exact_motion_has_a_column_for_each_set_of_constants(real):
+    def exact(*results):
+        table = comparison_document(compare(results)).parts[1]
+        columns = [one for one in table.columns if one.title.startswith("exact")]
+        return {one.title: one.value(table.rows[0]) for one in columns}
+
+    published = real[SLIDER]
+    value = published.score.exact
+    assert exact(published, as_newton(published)) == {"exact": value}
+    rough = replace(
+        published,
+        parameters={"cube.friction": 0.3},
+        score=replace(published.score, exact=9.0),
+    )
+    assert exact(published, as_newton(published), rough) == {
+        "exact, published": value,
+        "exact, cube.friction=0.3": 9.0,
+    }
+    assert exact(real[TURNED]) == {}
+
+
 def test_a_score_that_differs_from_its_trajectory_is_not_ranked(real):
     score = replace(real[SLIDER].score, rmse_aligned_normalized=0.3)
     comparison = compare([replace(real[SLIDER], score=score), as_newton(real[SLIDER])])
