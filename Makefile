@@ -1,4 +1,4 @@
-# make demo: set up and run the main job.  make test: set up and run the tests.
+# make demo: set up and measure four examples.  make test: set up and run the tests.
 
 PYTHON ?= python3
 VENV ?= .venv
@@ -7,15 +7,10 @@ BIN := $(VENV)/bin
 # Tests of a file share simulations and processes, so that a file runs on one worker.
 PYTEST := $(BIN)/python -m pytest -n 2 --dist loadfile
 
-# A slide and a rebound against real trials, a row of balls that engines fail, and two closed forms that they solve.
-DEMO := SlopeSlider-2-wood BouncingBall-rubber NewtonsCradle-metal Pendulum-metal Turntable-1-wood
-
 .PHONY: demo check test slow mutants build bench docs release
 
 demo: $(VENV)/.runs
-	$(BIN)/gauge run $(DEMO) --out results
-	$(BIN)/gauge run SlopeSlider-2-wood NewtonsCradle-metal --parameter measured --out results
-	$(BIN)/gauge plot results --out plots
+	$(BIN)/gauge demo
 
 define lint
 	$(BIN)/ruff check .
@@ -64,7 +59,7 @@ docs: $(VENV)/.runs
 # Running needs no engine but MuJoCo; the tests want them all.
 $(VENV)/.runs: pyproject.toml
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/pip install --quiet -e ".[plot]"
+	$(BIN)/pip install --quiet -e ".[plot,sanity]"
 	touch $@
 
 $(VENV)/.installed: $(VENV)/.runs

@@ -1,6 +1,6 @@
 """Run one experiment, read how far the engine is from reality, and draw it over the real trials.
 
-Needs matplotlib: pip install 'gauge-envs[plot]'.
+Needs matplotlib: pip install "./gauge-envs[plot]".
 """
 
 import gymnasium as gym

@@ -5,7 +5,7 @@ with the engine's default contacts or with those of this package. It is then rep
 follow the law: MuJoCo with this package's preset, the same with half the step, Newton, and with the friction at the
 edges of its uncertainty.
 
-Takes about two minutes on two cores. Needs pip install 'gauge-envs[rl]'.
+Takes about two minutes on two cores. Needs pip install "./gauge-envs[rl]".
 """
 
 from __future__ import annotations

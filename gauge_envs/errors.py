@@ -85,6 +85,10 @@ class UnsupportedSceneError(GaugeError, RuntimeError):
     """A backend cannot simulate a scene; the message lists unsupported features."""
 
 
+SOURCE = "./gauge-envs"
+"""What pip installs this package from where its origin is unknown: a clone; once an index has it, its name."""
+
+
 class MissingExtraError(GaugeError, ImportError):
     """An optional dependency is missing; the message has the pip command that installs it.
 
@@ -111,7 +115,7 @@ class MissingExtraError(GaugeError, ImportError):
 def install_command(package: str, extra: str) -> str:
     """Return the command that installs an extra of a package, from the folder or file that it was installed from.
 
-    `direct_url.json` names that place (PEP 610). A package of an index has none.
+    `direct_url.json` names that place (PEP 610). Without one, it is `SOURCE`, or the name of another package.
     """
     try:
         origin = json.loads(distribution(package).read_text("direct_url.json") or "{}")
@@ -120,7 +124,8 @@ def install_command(package: str, extra: str) -> str:
     source = urlsplit(origin.get("url", ""))
     place = Path(url2pathname(source.path))
     if source.scheme != "file" or not place.exists():
-        return f"pip install '{package}[{extra}]'"
+        name = SOURCE if package == "gauge-envs" else package
+        return f"pip install '{name}[{extra}]'"
     command = "pip install"
     if origin.get("dir_info", {}).get("editable", False):
         command += " -e"

@@ -9,7 +9,7 @@ import json
 import math
 import sys
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -32,7 +32,7 @@ from scripts.environment_page import (
     described_families,
     family_document,
 )
-from scripts.generated import ROOT, markdown_table
+from scripts.generated import ROOT, markdown_table, page_part
 
 SCRIPT = f"scripts/{Path(__file__).name}"
 PAGES = ROOT / "docs" / "environments"
@@ -44,8 +44,10 @@ After this page you can choose an experiment. Each family has a page; [How to re
 terms. Below a picture stand the [kinds of the references](../coverage.md) of its ids. The [gallery](../gallery.md)
 shows control tasks.
 """.strip()
-COLUMNS = 3
-"""Pictures in a row of the list."""
+COLUMNS, README_COLUMNS = 3, 6
+"""Pictures in a row of the list, and in a row of the README."""
+
+BEYOND = "Beyond the benchmark"
 
 SIZE = (288, 216)
 """Width and height of a picture [pixels]."""
@@ -89,7 +91,7 @@ GROUPS: dict[str, tuple[Entry, ...]] = {
         Entry("TextileFlinging-oxford", 1.8),
         Entry("Funnel-satin", 2.0),
         Entry("RotatingBall-uniform", 2.0),
-        Entry("TableclothPulling-metal", 3.0),
+        Entry("TableclothPulling-metal", 3.0, {"distance_m": 2.0}),
     ),
     "Foam": (
         Entry("FoamStretching-soft", 0.9),
@@ -97,10 +99,10 @@ GROUPS: dict[str, tuple[Entry, ...]] = {
         Entry("FoamShearing-soft", 1.2),
         Entry("FoamTwisting-soft", 2.1),
         Entry("FoamBending-soft", 1.1),
-        Entry("StickStack-soft", 4.0),
-        Entry("CantileverBeam-soft", 0.5),
+        Entry("StickStack-soft", 4.0, {"distance_m": 0.85}),
+        Entry("CantileverBeam-soft", 0.5, {"distance_m": 0.62}),
     ),
-    "Beyond the benchmark": (
+    BEYOND: (
         Entry("CubeToss-acrylic", camera={"distance_m": 1.3}),
         Entry("SiliconeBeam-52g-silicone", 0.5),
         Entry("CubePush-light"),
@@ -239,12 +241,32 @@ def contents() -> dict[Path, str]:
     families = described_families()
     shown = captions()
     pages = {PAGES / "index.md": enclosed(index_text(families))}
+    script = "scripts/build_environments.py"
+    pages |= page_part(ROOT / "README.md", "experiments", script, grid_text())
     for family, members in families.items():
         picture = f"../images/environments/{family}.webp"
         caption = shown.get(family, "")
         document = family_document(family, members, picture=picture, caption=caption)
         pages[PAGES / f"{family}.md"] = enclosed(as_markdown(document))
     return pages
+
+
+def picture_table(cells: Sequence[str], columns: int) -> Sequence[str]:
+    """Return the lines of a table of pictures, with empty cells at its end."""
+    padded = [*cells, *[""] * (-len(cells) % columns)]
+    rows = [padded[first : first + columns] for first in range(0, len(padded), columns)]
+    return markdown_table([""] * columns, rows)
+
+
+def grid_text() -> str:
+    """Return the pictures of the benchmark's families for the README, each with a link to its page."""
+    cells = []
+    for title, entries in GROUPS.items():
+        for entry in entries if title != BEYOND else ():
+            family = find_variant(entry.name).family
+            picture = f"![{family}](docs/images/environments/{family}.webp)"
+            cells.append(f"[{picture}<br>{family}](docs/environments/{family}.md)")
+    return "\n".join(picture_table(cells, README_COLUMNS))
 
 
 def index_text(families: Mapping[str, Members]) -> str:
@@ -256,11 +278,7 @@ def index_text(families: Mapping[str, Members]) -> str:
         for entry in entries:
             family = find_variant(entry.name).family
             cells.append(index_cell(family, families[family]))
-        rows = [
-            cells[first : first + COLUMNS] for first in range(0, len(cells), COLUMNS)
-        ]
-        rows[-1] += [""] * (COLUMNS - len(rows[-1]))
-        lines += [*markdown_table([""] * COLUMNS, rows), ""]
+        lines += [*picture_table(cells, COLUMNS), ""]
     names = [READING.removesuffix(".md"), *families]
     return "\n".join([*lines, "```{toctree}", ":hidden:", "", *names, "```", ""])
 

@@ -1,146 +1,152 @@
-"""Draw the picture at the top of the README: real drops of a rubber ball beside engines with their own defaults.
+"""Draw the picture at the top of the README: real drops of a rubber ball beside engines, and a cube that creeps.
 
-The engines have the measured constants, so what differs is the engine and its settings. The first frame is the result.
+The numbers are those of `gauge demo`. The first frame is the result.
 """
 
 from __future__ import annotations
 
 import io
-from dataclasses import dataclass
 
 import numpy as np
+from matplotlib import patches, transforms
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from PIL import Image
 
-from gauge_envs import load_experiment, reference_band
-from gauge_envs.runs.episodes import run_episode
-from gauge_envs.runs.request import RunRequest
-from gauge_envs.scene import Sphere
 from gauge_envs.scene.geometry import FloatArray
-from gauge_envs.scoring.answers import Answer
-from gauge_envs.scoring.metrics import interpolated
+from gauge_envs.tools.demo import creep, drop, real_drops
 from scripts.generated import ROOT
 
-FILE = ROOT / "docs" / "images" / "bouncing_ball.webp"
-NAME = "BouncingBall-rubber"
-ENGINES = {
-    "physx": "PhysX",
-    "rapier": "Rapier",
-    "pybullet": "PyBullet",
-    "mujoco": "MuJoCo",
-}
-WRONG, REAL, RIGHT, INK = "#D55E00", "#4A5568", "#0072B2", "#1F2328"
-RADIUS_MM = 30.0
-PICTURE_S = 1.0 / 30.0
-FIRST_S, LAST_S = 2.5, 1.5
-"""Times for which the result and the last picture stand [s]."""
+FILE = ROOT / "docs" / "images" / "hero.webp"
+ENGINES = ("mujoco", "newton", "physx", "pybullet", "rapier")
+WRONG, REAL, INK, NOTE = "#D55E00", "#4A5568", "#1F2328", "#59636E"
+CARD, BOARD = "#F6F8FA", "#CDAA78"
+WIDTH, HEIGHT, DPI = 900, 380, 100
+RADIUS_MM, EDGE_MM, SLOPE_DEG = 30.0, 50.0, 10.0
+FRAME_S, FIRST_S, LAST_S = 2.0 / 30.0, 2.5, 1.5
+"""Times for which a picture, the result and the last picture stand [s]. The fall is shown at half speed."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Drop:
-    """Heights of the lowest point of the ball at the frames of the trials [mm], shape [T], and the words below."""
-
-    title: str
-    heights_mm: FloatArray
-    text: str
-    color: str
+def engine_drops(frames_s: FloatArray) -> FloatArray:
+    """Return the heights of the ball in each engine at the frames [mm], shape [engine_count, T]."""
+    drops = [drop(backend=engine) for engine in ENGINES]
+    return np.array([np.interp(frames_s, d.times_s, d.heights_mm) for d in drops])
 
 
-def drops() -> list[Drop]:
-    """Return the mean real drop, and the drop in each engine with its own defaults, shifted as in its score."""
-    experiment = load_experiment(NAME, "measured")
-    band = reference_band(experiment)
-    assert band is not None and band.trials is not None
-    ball, ground = (experiment.scene.body(name) for name in ("ball", "ground"))
-    assert isinstance(ball.shape, Sphere)
-    lowest_mm = 1e3 * (ground.pose.position_m[2] + ball.shape.radius_m)
-    real = Drop(
-        title="Reality",
-        heights_mm=band.mean[:, 0] - lowest_mm,
-        text=f"{len(band.trials)} drops",
-        color=REAL,
-    )
-    found = [real]
-    frames_s = np.arange(len(band.mean)) / 30.0
-    for engine, title in ENGINES.items():
-        request = RunRequest(
-            NAME,
-            backend=engine,
-            parameters="measured",
-            settings={"preset": "out_of_box"},
+def apex_mm(heights_mm: FloatArray) -> float:
+    """Return the greatest height at a frame after the impact [mm]."""
+    return float(heights_mm[heights_mm.argmin() :].max())
+
+
+def label(axis: Axes, place: tuple[float, float], text: str, **look: object) -> None:
+    """Write a text at a place in pixels from the upper left corner."""
+    axis.text(place[0], HEIGHT - place[1], text, **look)
+
+
+def key(
+    axis: Axes, place: tuple[float, float], text: str, marker: str, color: str
+) -> None:
+    """Write an entry of a legend at a place in pixels."""
+    axis.plot(place[0], HEIGHT - place[1] + 6, marker, ms=11, color=color)
+    label(axis, (place[0] + 16, place[1]), text, fontsize=13, color=INK)
+
+
+def number(axis: Axes, right: float, top: float, value: str, below: str) -> None:
+    """Write a large number in millimetres, which ends at a place in pixels, and words below it."""
+    look = {"color": WRONG, "ha": "right", "fontweight": "bold"}
+    label(axis, (right - 52, top), value, fontsize=39, **look)
+    label(axis, (right, top), "mm", fontsize=17, **look)
+    label(axis, (right, top + 24), below, fontsize=13, color="#B34700", ha="right")
+
+
+def draw_balls(
+    axis: Axes, trials_mm: FloatArray, engines_mm: FloatArray, frame: int
+) -> None:
+    """Draw the drops up to a frame; places across are times."""
+    low, high = trials_mm.min(), trials_mm.max()
+    across = np.linspace(46.0, 380.0, trials_mm.shape[1])
+    scale = 225.0 / (high - low)
+
+    def up(heights_mm: FloatArray) -> FloatArray:
+        return 68.0 + scale * (heights_mm - low)
+
+    axis.plot([24, 446], [44, 44], color=INK, lw=2.5)
+    key(axis, (210, 40), f"{len(trials_mm)} real drops", "o", REAL)
+    key(axis, (210, 66), f"{len(ENGINES)} engines", "o", WRONG)
+    for heights_mm in trials_mm:
+        past = slice(0, frame + 1)
+        axis.plot(across[past], up(heights_mm[past]), "o", ms=8, color=REAL, alpha=0.18)
+    for heights_mm in engines_mm:
+        past = slice(0, frame + 1)
+        axis.plot(across[past], up(heights_mm[past]), color=WRONG, lw=2)
+        axis.plot(
+            across[frame], up(heights_mm[frame]), "o", ms=24, color=WRONG, alpha=0.5
         )
-        result = run_episode(request)
-        assert result.trajectory is not None, result.error
-        times_s, samples = result.trajectory.arrays()
-        score = result.score
-        queries_s = frames_s - (score.time_offset_s or 0.0)
-        heights = interpolated(queries_s, times_s, band.project(samples))[:, 0]
-        is_like = score.like_reality is Answer.YES
-        found.append(
-            Drop(
-                title=title,
-                heights_mm=heights - lowest_mm,
-                text=f"{score.distance:.0f} mm off",
-                color=RIGHT if is_like else WRONG,
-            )
-        )
-    return found
+    mean_mm = trials_mm.mean(axis=0)
+    axis.plot(across[frame], up(mean_mm[frame]), "o", ms=24, color=REAL)
+    if frame == len(across) - 1:
+        engines, real = np.mean([apex_mm(h) for h in engines_mm]), apex_mm(mean_mm)
+        ends = up(np.array([engines, real]))
+        axis.plot([412, 412], ends, "_-", color=WRONG, lw=2.5, ms=12, mew=2.5)
+        number(axis, 446, 118, f"{real - engines:.0f}", "bounce too low")
 
 
-def picture(shown: list[Drop], frame: int) -> Image.Image:
-    """Return the picture at a frame, with the earlier places of each ball."""
-    figure = Figure(figsize=(9.0, 3.6), dpi=100, facecolor="white")
-    axes = figure.subplots(1, len(shown))
-    figure.suptitle(
-        "A rubber ball falls: engines with their own defaults and the measured restitution",
-        color=INK,
-        fontsize=13,
-        x=0.02,
-        ha="left",
+def draw_cube(axis: Axes, speed_mm_per_s: float, time_s: float) -> None:
+    """Draw the cube that rests and the one that has moved, on the slope."""
+    edge, scale = 100.0, 100.0 / EDGE_MM
+    moved_mm = speed_mm_per_s * time_s
+    turned = transforms.Affine2D().rotate_deg(-SLOPE_DEG).translate(493, 156)
+    key(axis, (508, 40), "real cube rests", "s", REAL)
+    key(axis, (508, 66), "cube with HalfCheetah's contacts creeps", "s", WRONG)
+    shapes = [
+        patches.Rectangle((0, -20), 382, 20, color=BOARD),
+        patches.Rectangle((34, 0), edge, edge, color=REAL),
+        patches.Rectangle(
+            (34 + scale * moved_mm, 0), edge, edge, color=WRONG, alpha=0.88
+        ),
+    ]
+    for shape in shapes:
+        shape.set_transform(turned + axis.transData)
+        axis.add_patch(shape)
+    label(
+        axis,
+        (765, 330),
+        f"{SLOPE_DEG:.0f} degrees",
+        fontsize=12,
+        color=NOTE,
+        ha="center",
     )
-    for axis, drop in zip(axes, shown, strict=True):
-        _draw(axis, drop, shown[0].heights_mm, frame)
-    figure.subplots_adjust(left=0.02, right=0.98, top=0.80, bottom=0.16, wspace=0.08)
+    number(axis, 870, 128, f"{moved_mm:.0f}", f"in {time_s:.1f} s")
+
+
+def picture(
+    trials_mm: FloatArray, engines_mm: FloatArray, speed: float, frame: int
+) -> Image.Image:
+    """Return the picture at a frame; the cube creeps for a second until the last one."""
+    figure = Figure(figsize=(WIDTH / DPI, HEIGHT / DPI), dpi=DPI, facecolor=CARD)
+    axis = figure.add_axes((0.0, 0.0, 1.0, 1.0))
+    axis.set(xlim=(0, WIDTH), ylim=(0, HEIGHT))
+    axis.axis("off")
+    axis.plot([470, 470], [28, 352], color="#D0D7DE", lw=1)
+    draw_balls(axis, trials_mm, engines_mm, frame)
+    draw_cube(axis, speed, frame / (trials_mm.shape[1] - 1))
     stream = io.BytesIO()
     figure.savefig(stream, format="png")
     return Image.open(stream).convert("RGB")
 
 
-def _draw(axis: Axes, drop: Drop, real_mm: FloatArray, frame: int) -> None:
-    """Draw a ball at a frame, its earlier places, and the real ball as a ring."""
-    places = np.linspace(0.0, 300.0, len(real_mm))
-    axis.set_title(drop.title, color=INK, fontsize=13, loc="left")
-    axis.axhline(0.0, color=INK, lw=2)
-    for index in range(frame + 1):
-        alpha = 1.0 if index == frame else 0.25
-        centre = places[index], drop.heights_mm[index] + RADIUS_MM
-        axis.plot(*centre, "o", ms=13, color=drop.color, alpha=alpha)
-        if drop.color != REAL:
-            ring = places[index], real_mm[index] + RADIUS_MM
-            axis.plot(*ring, "o", ms=13, mfc="none", mec=REAL, alpha=alpha)
-    axis.set_xlim(-30.0, 330.0)
-    axis.set_ylim(-6.0, float(real_mm.max()) + 3.0 * RADIUS_MM)
-    axis.axis("off")
-    axis.text(
-        0.0,
-        -0.12,
-        drop.text,
-        color=drop.color,
-        fontsize=19,
-        fontweight="bold",
-        transform=axis.transAxes,
-        va="top",
-    )
-
-
 def draw() -> None:
-    """Write the animated picture."""
-    shown = drops()
-    last = len(shown[0].heights_mm) - 1
-    frames = [last, *range(last + 1)]
-    pictures = [picture(shown, frame) for frame in frames]
-    seconds = [FIRST_S, *[2.0 * PICTURE_S] * last, LAST_S]
+    """Write the animated picture, and print its size and numbers."""
+    frames_s, trials_mm = real_drops()
+    engines_mm = engine_drops(frames_s)
+    speed = creep().configured
+    assert speed is not None
+    last = len(frames_s) - 1
+    pictures = [
+        picture(trials_mm, engines_mm, speed, frame)
+        for frame in (last, *range(last + 1))
+    ]
+    seconds = [FIRST_S, *[FRAME_S] * last, LAST_S]
     pictures[0].save(
         FILE,
         save_all=True,
@@ -151,6 +157,7 @@ def draw() -> None:
         method=6,
     )
     print(FILE.relative_to(ROOT), f"{FILE.stat().st_size / 1e3:.0f} kB")
+    print("apexes of engines [mm]:", [round(apex_mm(h)) for h in engines_mm])
 
 
 if __name__ == "__main__":

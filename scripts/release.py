@@ -24,9 +24,6 @@ MAX_WHEEL_MB = 6.0
 PYTHONS = ("3.11", "3.13")
 """Lowest and highest Python for which the engines have wheels."""
 
-DEMO = "SlopeSlider-2-wood,BouncingBall-rubber,NewtonsCradle-metal,Pendulum-metal,Turntable-1-wood"
-"""Experiments of `make demo`."""
-
 DATE = re.compile(r"\d{4}-\d\d-\d\d")
 
 ADDRESSES = ("Homepage", "Repository", "Documentation", "Changelog", "Issues")
@@ -112,8 +109,7 @@ def use_wheel(wheel: Path, version: str, folder: Path) -> None:
     commands = make_environment(
         folder, python=interpreter(version), wheel=wheel, extras=["plot", "sanity"]
     )
-    run(commands / "gauge", "run", DEMO, "--out", folder / "results")
-    run(commands / "gauge", "plot", folder / "results", "--out", folder / "plots")
+    run(commands / "gauge", "demo", "--no-open", "--out", folder / "demo.html")
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     for code in re.findall(r"```python\n(.*?)```", readme, re.DOTALL):
         run(commands / "python", "-I", "-c", code)

@@ -18,6 +18,7 @@ import pytest
 from install_commands import DEFAULT, Table
 from places import ROOT
 
+from gauge_envs.errors import SOURCE
 from scripts.test_matrix import make_environment
 
 TABLE = Table.read(Path(__file__).with_name("install_commands.toml"))
@@ -130,6 +131,22 @@ def test_outputs_in_the_readme_belong_to_commands_that_run():
     texts = [command.text for command in RUNS["readme", "README.md"]]
     assert len(SHOWN) >= 3
     assert {command for _, command in SHOWN} <= set(texts)
+
+
+def test_every_page_installs_the_package_in_the_form_of_the_messages():
+    """Until an index has the package, its bare name installs nothing."""
+    files = [ROOT / "README.md", *(ROOT / "docs").rglob("*.md")]
+    files += (ROOT / "examples").glob("*.py")
+    found = [
+        (file.name, name)
+        for file in files
+        for name in re.findall(
+            r"pip install [\"']?([\w./-]*gauge[-_]envs(?!-)|\.)[\s\"'\[]",
+            file.read_text(),
+        )
+    ]
+    assert len(found) > 12
+    assert [place for place in found if place[1] != SOURCE] == []
 
 
 def test_the_readme_has_at_most_700_words():

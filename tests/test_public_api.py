@@ -8,7 +8,7 @@ import pytest
 from programs import printed
 
 import gauge_envs
-from gauge_envs.errors import install_command
+from gauge_envs.errors import SOURCE, install_command
 from scripts import build_surface
 
 
@@ -67,10 +67,10 @@ print(loaded("pandas", "matplotlib", "rich", "scipy.stats", "trimesh", "typer"))
             "pip install -e '/[x]'",
         ),
         ('{"url": "file:///", "dir_info": {}}', "pip install '/[x]'"),
-        ('{"url": "file:///no/such.whl"}', "pip install 'gauge-envs[x]'"),
-        ('{"url": "https://example.org/a.whl"}', "pip install 'gauge-envs[x]'"),
-        (None, "pip install 'gauge-envs[x]'"),
-        ("{", "pip install 'gauge-envs[x]'"),
+        ('{"url": "file:///no/such.whl"}', f"pip install '{SOURCE}[x]'"),
+        ('{"url": "https://example.org/a.whl"}', f"pip install '{SOURCE}[x]'"),
+        (None, f"pip install '{SOURCE}[x]'"),
+        ("{", f"pip install '{SOURCE}[x]'"),
     ],
 )
 def test_an_extra_is_installed_from_where_the_package_is_from(

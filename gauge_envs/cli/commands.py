@@ -43,6 +43,9 @@ class CommandInfo:
 
 
 BUNDLED_COMMANDS = {
+    "demo": CommandInfo(
+        "Measure a ball, constants, a robot's contacts and a policy, and show them on a page."
+    ),
     "list": CommandInfo(
         "List experiments; or backends, checks, phenomena, materials, scenes, ...",
         version=5,

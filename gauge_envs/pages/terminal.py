@@ -5,7 +5,6 @@ Cells wrap between words. Columns that do not fit side by side move below their 
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from textwrap import TextWrapper
 from typing import Literal
 
 import rich.table
@@ -26,9 +25,6 @@ from gauge_envs.pages.table import Column, Facts, Place, Table
 
 GAP = 2
 """Blanks between two columns, and before rows below a heading."""
-
-TITLE_WIDTH = 12
-"""Width above which a title wraps if its cells are shorter [characters]."""
 
 MIN_NAME_WIDTH = 12
 """Smallest width of the first column [characters]."""
@@ -166,11 +162,10 @@ def _line(
 
 def _widths(columns: Sequence[Column], rows: Sequence[object], width: int) -> list[int]:
     """Return the widths of the columns that fit side by side; cells wrap between words where they must."""
-    wrapper = TextWrapper(TITLE_WIDTH, break_long_words=False, break_on_hyphens=False)
     widths: list[int] = []
     min_widths: list[int] = []
     for column in columns:
-        lines = [*wrapper.wrap(column.label), *map(column.text, rows)]
+        lines = [column.label, *map(column.text, rows)]
         words = " ".join(lines).split()
         widths.append(max(map(cell_len, lines)))
         min_widths.append(max(map(cell_len, words), default=1))

@@ -1,7 +1,6 @@
 """Compare results of any configurations: scores, ranks and distances."""
 
 import math
-from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -44,9 +43,6 @@ from gauge_envs.tools.compare.statistics import (
     ScoreSpread,
     repeats_interval,
 )
-
-QUESTIONS = {"solves": "solves the scene", "like_reality": "like reality"}
-"""Questions that a score answers, by field."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,30 +87,16 @@ class Cell:
             intervals.append(interval)
         return repeats_interval(values, intervals) if values else None
 
-    @cached_property
-    def answers(self) -> dict[str, Counter[Answer]]:
-        """Number of finished repeats with each answer, by question; questions without an answer are left out."""
-        finished = [
+    @property
+    def is_wrong(self) -> bool:
+        """Whether a finished repeat does not solve its scene, or, without a solution, is unlike reality."""
+        scores = [
             result.score
             for result in self.results
             if result.outcome is Outcome.FINISHED
         ]
-        counts = {}
-        for field, question in QUESTIONS.items():
-            known = Counter(filter(None, (getattr(one, field) for one in finished)))
-            if known:
-                counts[question] = known
-        return counts
-
-    @property
-    def answers_text(self) -> str:
-        """The answers of the finished repeats, as `solves the scene: yes`, with counts if they differ."""
-        texts = []
-        for question, counts in self.answers.items():
-            parts = [f"{count} {answer}" for answer, count in counts.items()]
-            answer = next(iter(counts)).value if len(counts) == 1 else ", ".join(parts)
-            texts.append(f"{question}: {answer}")
-        return "; ".join(texts)
+        solved = {score.solves for score in scores} - {None}
+        return Answer.NO in (solved or {score.like_reality for score in scores})
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -240,10 +222,14 @@ class ScoreComparison:
         """Label of each configuration."""
         return tuple(configuration_labels(self.configurations))
 
+    @property
+    def constants(self) -> list[str]:
+        """Name of the constants of each configuration."""
+        return [constants_of(configuration) for configuration in self.configurations]
+
     @cached_property
     def kinds(self) -> tuple[KindComparison, ...]:
         """Ranks within each kind of reference; experiments with several references are left out."""
-        constants = [_constants(configuration) for configuration in self.configurations]
         comparisons: list[KindComparison] = []
         for kind in Kind:
             scored = [
@@ -251,13 +237,13 @@ class ScoreComparison:
                 for experiment in self.experiments
                 if experiment.kind is kind and _is_ranked(experiment)
             ]
-            comparisons += compare_kind(kind, scored, constants)
+            comparisons += compare_kind(kind, scored, self.constants)
         return tuple(comparisons)
 
 
-def _constants(configuration: RunConfiguration) -> str:
+def constants_of(configuration: RunConfiguration, digits: int = 17) -> str:
     """Return the name of the constants of a configuration: its parameters and its modified scene."""
-    parts = configuration_parts(configuration, digits=17)
+    parts = configuration_parts(configuration, digits=digits)
     return ", ".join(text for part, text in parts if part in ("parameters", "asset"))
 
 

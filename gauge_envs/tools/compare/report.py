@@ -26,15 +26,15 @@ from gauge_envs.references.kind import Kind
 from gauge_envs.references.published import PUBLISHED_ENGINES
 from gauge_envs.runs.configuration import RunConfiguration
 from gauge_envs.runs.result import Outcome
-from gauge_envs.scoring.answers import Answer
 from gauge_envs.scoring.score import FROM_SOLUTION
 from gauge_envs.tools.compare.comparison import (
     Cell,
     ExperimentComparison,
     ScoreComparison,
+    constants_of,
 )
 from gauge_envs.tools.compare.distance import MOTION_SHARE, Distance
-from gauge_envs.tools.compare.ranks import NEGLIGIBLE, KindComparison, Mean
+from gauge_envs.tools.compare.ranks import KindComparison, Mean
 
 ALL_METRICS = tuple(SCORE_METRICS)
 
@@ -43,20 +43,22 @@ REFERENCE = Column("kind", "reference", place=Place.HEADING)
 
 INTERVAL_NOTE = (
     "[low, high]: 95 % interval; about 90 % for slides of wood and plastic, which have trials far from the others. "
-    "+-: standard deviation of repeats (how many). *: does not solve the scene, or is unlike reality. -: not run, or "
-    "not published. no score: no reference scores it, or the measured event did not happen."
+    "+-: standard deviation of repeats (how many). -: not run, or not published."
 )
+
+WRONG_NOTE = "*: does not solve the scene; without a solution, unlike reality."
 
 SCALE_NOTE = (
     "RMSE and DTW are divided by the mean of real trials; LSD, MTE and PD by the real value. EL: 0 is ideal. "
     "Distances from a solution are divided by its motion."
 )
 
-RANK_NOTE = (
-    "All experiments have the same weight. [low, high]: mean of the best and mean of the worst ranks among "
-    "configurations with the same constants. Two scores are distinguishable if the 95 % interval of their difference "
-    f"excludes differences up to {NEGLIGIBLE}. Errors of the reference cancel in a difference."
+SHORT_NOTE = (
+    "Distance over that of real trials, or over the motion of a solution. exact: the exact motion with the same "
+    "constants. --format wide: intervals."
 )
+
+RANK_NOTE = "[best, worst] rank that the uncertainty allows, among configurations with the same constants."
 
 NO_RANKS = "No ranks: they need two configurations with the same constants and scores of one experiment."
 
@@ -180,14 +182,15 @@ def _answer(rankings: Sequence[Mapping[int, Mean]], all_labels: Sequence[str]) -
         for index, rank in ranks.items():
             if rank.interval_95 == (1.0, 1.0):
                 firsts[all_labels[index]] += 1
-    labels = [all_labels[index] for index in sorted(members)]
-    answer = f"{' and '.join(labels)} are not distinguishable"
-    if len(labels) > 2:
-        answer = f"None of {len(labels)} configurations ranks first"
+    count = counted(len(rankings), "experiment")
     shared = len(rankings) - firsts.total()
-    answer += f" on {shared} of {counted(len(rankings), 'experiment')}"
-    wins = [f"{label} ranks first on {count}" for label, count in firsts.items()]
-    return f"{'; '.join([answer, *wins])}."
+    if len(members) == 2:
+        closer = (f"{label} is closer on {wins}" for label, wins in firsts.items())
+        return f"{'; '.join([f'Same on {shared} of {count}', *closer])}."
+    closest = [f"{label} on {wins}" for label, wins in firsts.items()]
+    if shared:
+        closest.append(f"several on {shared}")
+    return f"Closest: {', '.join(closest)} of {count}."
 
 
 # --- JSON ------------------------------------------------------------------------------------------------------------
@@ -306,23 +309,26 @@ def _kind_row(comparison: ScoreComparison, kind: KindComparison) -> dict[str, An
 # --- scores ----------------------------------------------------------------------------------------------------------
 
 
-def score_cell_text(cell: Cell, metric: str, unit: str) -> str:
+def score_cell_text(cell: Cell, metric: str, unit: str, *, is_full: bool = True) -> str:
     """Return the mean of a metric over repeats, for example `0.41 [0.17, 1.43] +- 0.05 (3)`; empty without a score.
 
     Args:
         cell: Repeats of a configuration.
         metric: A key of `SCORE_METRICS`.
         unit: Unit of a score without normalization.
+        is_full: Whether to show the interval, the scatter of repeats, and what a solution's score is divided by.
     """
     spread = cell.spread(metric, normalized=True)
     if spread is None:
         spread = cell.spread(metric, normalized=False)
-    elif metric == FROM_SOLUTION:
+    elif metric == FROM_SOLUTION and is_full:
         unit = "of the motion"
     else:
         unit = "1"
     if spread is None:
         return ""
+    if not is_full:
+        return with_unit(score_text(spread.mean), unit)
     text = interval_text(spread.mean, cell.interval_95(metric))
     if spread.std is not None:
         text += f" +- {score_text(spread.std)} ({spread.count})"
@@ -349,16 +355,36 @@ def _score_table(
         columns.append(Column("metric", "metric"))
     for index, label in enumerate(comparison.labels):
         columns.append(Column(f"scores.{index}", label, is_number=True))
+    columns += _exact_columns(comparison, rows)
     if is_full:
         for engine, title in PUBLISHED_ENGINES.items():
             key, paper_title = f"published.{engine}", f"{title}, paper"
             columns.append(Column(key, paper_title, score_text, is_number=True))
     return Table(
-        title="Scores, with 95 % intervals",
+        title="Scores, with 95 % intervals" if is_full else "Scores",
         columns=tuple(columns),
         rows=rows,
-        notes=tuple(_score_notes(comparison)),
+        notes=tuple(_score_notes(comparison, is_full=is_full)),
     )
+
+
+def _exact_columns(
+    comparison: ScoreComparison, rows: Sequence[dict[str, Any]]
+) -> Iterator[Column]:
+    """Add the score of the exact motion to the rows, and yield a column for each set of constants with one."""
+    members: dict[str, list[int]] = {}
+    for index, constants in enumerate(comparison.constants):
+        members.setdefault(constants, []).append(index)
+    for indices in members.values():
+        key = f"exact {indices[0]}"
+        for row in rows:
+            exact = [row["exact"][index] for index in indices if row["is_primary"]]
+            row[key] = next((value for value in exact if value is not None), None)
+        if any(row[key] is not None for row in rows):
+            title = "exact"
+            if len(members) > 1:
+                title += f", {constants_of(comparison.configurations[indices[0]], 6)}"
+            yield Column(key, title, score_text, is_number=True)
 
 
 def _score_rows(
@@ -386,11 +412,18 @@ def _score_row(
             for cell in experiment.cells
         ],
         "published": None,
+        "exact": [_exact_score(cell) for cell in experiment.cells],
     }
     if metric is not None:
         row["metric"] = SCORE_METRICS[metric].title
         row["published"] = experiment.published(metric)
     return row
+
+
+def _exact_score(cell: Cell | None) -> float | None:
+    """Return the score of the exact motion of the first result that has one."""
+    scores = (result.score.exact for result in cell.results) if cell else ()
+    return next((score for score in scores if score is not None), None)
 
 
 def _score_text(
@@ -405,16 +438,12 @@ def _score_text(
         return "-"
     texts = _outcome_texts(cell)
     if metric is not None:
-        texts.insert(0, score_cell_text(cell, metric, experiment.unit_of(metric)))
+        unit = experiment.unit_of(metric)
+        texts.insert(0, score_cell_text(cell, metric, unit, is_full=is_full))
     text = ", ".join(filter(None, texts))
-    is_primary = metric in (experiment.primary, None)
-    if not is_primary or not cell.answers:
-        return text or "no score"
-    if is_full or not text:
-        return f"{text} {cell.answers_text}".strip()
-    if any(counts[Answer.NO] for counts in cell.answers.values()):
-        return f"{text} *"
-    return text
+    if metric in (experiment.primary, None) and cell.is_wrong:
+        text += " *"
+    return text or "no score"
 
 
 def _outcome_texts(cell: Cell) -> list[str]:
@@ -429,11 +458,14 @@ def _outcome_texts(cell: Cell) -> list[str]:
     return texts
 
 
-def _score_notes(comparison: ScoreComparison) -> Iterator[str]:
+def _score_notes(comparison: ScoreComparison, *, is_full: bool) -> Iterator[str]:
     """Yield the notes of the table of scores."""
-    yield SCALE_NOTE
-    yield INTERVAL_NOTE
-    yield from _configuration_notes(comparison.configurations)
+    if is_full:
+        yield SCALE_NOTE
+        yield f"{INTERVAL_NOTE} {WRONG_NOTE}"
+    else:
+        yield f"{SHORT_NOTE} {WRONG_NOTE}"
+    yield " ".join(_configuration_notes(comparison.configurations))
     for note in comparison.notes:
         yield f"Note: {note}."
 

@@ -141,21 +141,33 @@ def _row(result: Result) -> dict[str, Any]:
     score = result.score
     if result.diverged:
         return {"id": result.id, "solves": Outcome.DIVERGED.value}
-    of_trials = exact = distance = None
+    distance = None
     if score.distance is not None:
         distance = with_unit(score_text(score.distance), score.distance_unit)
-    if score.primary != FROM_SOLUTION and score.distance and score.primary_normalized:
-        of_trials = score.distance / score.primary_normalized
-        exact = None if score.exact is None else score.exact * of_trials
     return {
         "id": result.id,
         "distance": distance,
         "motion": score.solution_motion,
-        "trials": of_trials,
-        "exact": exact,
+        "trials": _trials_distance(score),
+        "exact": _exact_distance(score),
         "solves": score.solves or "no solution",
         "like_reality": score.like_reality or "nothing real",
     }
+
+
+def _trials_distance(score: Score) -> float | None:
+    """Return the mean distance of real trials, in `distance_unit`; None for a solution."""
+    if score.primary == FROM_SOLUTION or not score.distance:
+        return None
+    return score.primary_normalized and score.distance / score.primary_normalized
+
+
+def _exact_distance(score: Score) -> float | None:
+    """Return the distance of the exact motion with the same constants, in `distance_unit`; None without one."""
+    of_trials = _trials_distance(score)
+    if score.exact is None or of_trials is None:
+        return None
+    return score.exact * of_trials
 
 
 def _explanation(result: Result) -> dict[str, Any]:
@@ -217,18 +229,19 @@ def cause_text(score: Score, parameters: str | Mapping[str, Any]) -> str | None:
         score: The score.
         parameters: Name of the parameter set, or the values of the user.
     """
-    if score.exact is None:
+    exact_distance = _exact_distance(score)
+    if exact_distance is None:
         return None
-    exact = digits_text(score.exact)
+    exact = with_unit(score_text(exact_distance), score.distance_unit)
     if score.cause is DistanceCause.CONSTANTS:
         wrong = _wrong_constants(score, parameters)
-        return f"An exact solver also scores {exact}: {wrong}, not the engine."
+        return f"An exact solver is also {exact} off: {wrong}, not the engine."
     texts = {
         DistanceCause.ENGINE: "the engine or its settings are wrong, not the constants",
         DistanceCause.BOTH: "both the engine and the constants are wrong",
     }
     if score.cause in texts:
-        return f"An exact solver scores {exact}: {texts[score.cause]}."
+        return f"An exact solver is {exact} off: {texts[score.cause]}."
     return None
 
 

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import shlex
 import sys
+from collections.abc import Iterable
 from importlib import import_module
 from pathlib import Path
 from typing import Annotated
 
 from gauge_envs.cli import arguments
-from gauge_envs.cli.output import Progress, echo, message
+from gauge_envs.cli.output import LINE_INTERVAL_S, Progress, echo, message, note
 from gauge_envs.cli.results import loaded_results
 from gauge_envs.optional import needs_extra
 from gauge_envs.pages.text import counted
+from gauge_envs.runs.configuration import group_by_configuration
+from gauge_envs.runs.result import Result
 
 
 def report(
@@ -43,7 +46,10 @@ def report(
     with needs_extra("gauge report", "plot"):
         import_module("matplotlib")
     results, skipped = loaded_results(sources, with_scene=True, corrected=corrected)
-    with Progress("pages", len({result.id for result in results.values()})) as progress:
+    if motion_view:
+        note(_repeated_runs_text(results.values()))
+    pages = len({result.id for result in results.values()})
+    with Progress("pages", pages, line_interval_s=LINE_INTERVAL_S) as progress:
         notes = save_site(
             results,
             out,
@@ -57,3 +63,14 @@ def report(
     message(counted(len(results), "result"))
     echo(out / "index.html")
     return bool(skipped)
+
+
+def _repeated_runs_text(results: Iterable[Result]) -> str:
+    """Return how many episodes the 3D views run again, one of each configuration, and their time."""
+    seconds = [
+        {result.id: result.wall_s or 0.0 for result in members}
+        for _, members in group_by_configuration(results)
+    ]
+    count = counted(sum(map(len, seconds)), "episode")
+    total_s = sum(sum(times.values()) for times in seconds)
+    return f"3D views run {count} again, {total_s:.0f} s; --no-motion-view runs nothing"

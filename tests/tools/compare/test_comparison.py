@@ -171,7 +171,7 @@ def test_kinds_are_ranked_apart_and_equal_motions_tie(real):
     assert [trials.kind, analytic.kind] == ["trials", "analytic"]
     assert trials.ids == (f"GAUGE/{SLIDER}", f"GAUGE/{PLASTIC}")
     assert ranks(trials) == ranks(analytic) == [(1, 2), (1, 2)]
-    shared = "mujoco and newton are not distinguishable on 3 of 3 experiments."
+    shared = "Same on 3 of 3 experiments."
     assert answer(both) == shared
     # Only the wide report has mean ranks of fewer than three experiments.
     document = comparison_document(compare(both))
@@ -188,9 +188,30 @@ def test_a_large_difference_ranks(real):
     assert ranks(trials) == [(1, 1), (2, 2)]
     third = replace(wrong, backend="rapier", versions={"rapier": "1.0"})
     results = [real[SLIDER], wrong, third, *map(as_newton, [real[TURNED]])]
-    best = "None of 3 configurations ranks first on 0 of 1 experiment; mujoco ranks first on 1."
+    best = "Closest: mujoco on 1 of 1 experiment."
     assert answer(results) == best
     assert answer([real[SLIDER]]).startswith("No ranks")
+
+
+def test_the_exact_motion_has_a_column_for_each_set_of_constants(real):
+    def exact(*results):
+        table = comparison_document(compare(results)).parts[1]
+        columns = [one for one in table.columns if one.title.startswith("exact")]
+        return {one.title: one.value(table.rows[0]) for one in columns}
+
+    published = real[SLIDER]
+    value = published.score.exact
+    assert exact(published, as_newton(published)) == {"exact": value}
+    rough = replace(
+        published,
+        parameters={"cube.friction": 0.3},
+        score=replace(published.score, exact=9.0),
+    )
+    assert exact(published, as_newton(published), rough) == {
+        "exact, published": value,
+        "exact, cube.friction=0.3": 9.0,
+    }
+    assert exact(real[TURNED]) == {}
 
 
 def test_a_score_that_differs_from_its_trajectory_is_not_ranked(real):
@@ -332,8 +353,8 @@ def test_the_tables_show_each_outcome(gauge, tmp_path):
     assert "cut.json: not a result file" in result.stderr
     text = result.stdout
     for cell in (
-        "0.51 +- 0.14 (2) like reality: yes",
-        "5.00 like reality: no",
+        "| 0.51 +- 0.14 (2) |",
+        r"| 5.00 \* |",
         "| mujoco, iterations=5 |",
         "| diverged |",
         "| LSD | 0.50 |",

@@ -100,15 +100,15 @@ def test_the_summary_shows_events_of_recordings_and_missing_events():
     [
         (
             DistanceCause.CONSTANTS,
-            "An exact solver also scores 5.09: the published friction is wrong, not the engine.",
+            "An exact solver is also 3.42 mm off: the published friction is wrong, not the engine.",
         ),
         (
             DistanceCause.ENGINE,
-            "An exact solver scores 5.09: the engine or its settings are wrong, not the constants.",
+            "An exact solver is 3.42 mm off: the engine or its settings are wrong, not the constants.",
         ),
         (
             DistanceCause.BOTH,
-            "An exact solver scores 5.09: both the engine and the constants are wrong.",
+            "An exact solver is 3.42 mm off: both the engine and the constants are wrong.",
         ),
         (DistanceCause.NONE, None),
     ],

@@ -12,7 +12,7 @@ from gauge_envs.errors import GaugeError, ResultFileError
 from gauge_envs.runs.batch import run_many
 from gauge_envs.runs.episodes import run_episode
 from gauge_envs.runs.request import RunRequest
-from gauge_envs.runs.result_file import load_result, recorded_experiment
+from gauge_envs.runs.result_file import load_result, recorded_experiment, write_result
 from gauge_envs.scene.jitter import Jitter
 from gauge_envs.scoring.reference import reference_band
 from gauge_envs.tools.site import save_site
@@ -200,3 +200,14 @@ def test_a_3d_view_has_the_initial_state_of_its_repeat():
     for result in run_many([RunRequest(SLIDE, repeats=2, seed=1, jitter=noise)]):
         start_mm = 1e3 * motion_view(result).poses[0, 0, :3]
         np.testing.assert_allclose(start_mm, result.trajectory.samples[0], atol=1e-9)
+
+
+def test_the_command_states_the_time_of_its_runs_before_they_start(
+    slide, gauge, tmp_path
+):
+    write_result(replace(slide, wall_s=12.0), tmp_path / "first.json")
+    write_result(replace(slide, wall_s=30.0, backend="other"), tmp_path / "other.json")
+    shown = gauge("report", ".", "--out", "site").stderr
+    assert shown.startswith("note: 3D views run 2 episodes again, 42 s;")
+    quiet = gauge("report", ".", "--out", "site", "--no-motion-view").stderr
+    assert "again" not in quiet

@@ -13,7 +13,12 @@ import numpy as np
 
 from gauge_envs.backends import Simulation
 from gauge_envs.envs.env import GaugeEnv
-from gauge_envs.errors import MissingExtraError, NoRewardWarning, TargetError
+from gauge_envs.errors import (
+    MissingExtraError,
+    NoRewardWarning,
+    TargetError,
+    install_command,
+)
 from gauge_envs.tools.sanity.readers.mjcf import GeomPair, model_name, read_model
 from gauge_envs.tools.sanity.readers.mujoco_model import mujoco_configuration
 from gauge_envs.tools.sanity.robot.robot import mujoco_warnings
@@ -44,7 +49,7 @@ def suite_file(name: str) -> Path:
     found = importlib.util.find_spec("dm_control")
     if found is None or not found.submodule_search_locations:
         raise TargetError(
-            f'{name}: dm_control is not installed: pip install "gauge-envs[dm]"'
+            f"{name}: dm_control is not installed: {install_command('gauge-envs', 'dm')}"
         )
     folder = Path(found.submodule_search_locations[0]) / "suite"
     domain = name.removeprefix(SUITE).partition("-")[0]
