@@ -9,7 +9,7 @@ from gauge_envs.errors import GaugeError
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.pages.html import Html, element, folded, join
 from gauge_envs.scene.geometry import FloatArray
-from gauge_envs.scoring.cause import DistanceCause
+from gauge_envs.scoring.answers import DistanceCause
 from gauge_envs.tools.demo.measure import (
     BALL,
     CREEP,
