@@ -41,8 +41,8 @@ CAUSES = {check.id for check in READ} | {"robot-torque"}
 def absorb(results: Sequence[SanityResult]) -> list[SanityResult]:
     """Return results in which a finding has its effects, and each effect its cause.
 
-    A finding of what is read explains later ones on the same elements, and all runs of the model. An effect that is an
-    error makes its cause one.
+    A finding of what is read explains later ones on the same elements, and all runs of the model. A cause has at least
+    the severity of its effects: what is unusual is more than advice where the model's own run shows it.
     """
     found: dict[str, SanityResult] = {}
     for result in results:
@@ -59,6 +59,7 @@ def absorb(results: Sequence[SanityResult]) -> list[SanityResult]:
             cause,
             effects=tuple(filter(None, effects)),
             verdict=SanityVerdict.FAILED if is_error else cause.verdict,
+            is_usual=cause.is_usual and result.is_usual,
         )
     return [*found.values()]
 

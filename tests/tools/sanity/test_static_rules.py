@@ -238,9 +238,24 @@ def test_a_cause_has_its_effects_and_a_failed_assertion_shows_the_screen(tmp_pat
     report = check(
         str(tmp_path / "robot.xml"), only=["range-unit", "robot-stands", "model-*"]
     )
-    assert [*report.errors] == ["range-unit"]
-    assert "looks like radians in a file of degrees" in repr(report.errors)
-    assert report.errors["range-unit"].line == 5
+    assert [*report.warnings] == ["range-unit"]
+    assert "looks like radians in a file of degrees" in repr(report.warnings)
+    assert report.warnings["range-unit"].line == 5
+
+
+def test_what_is_unusual_is_advice_until_the_run_shows_it(tmp_path):
+    """A trunk whose mass is no metal's is advice; where the robot then falls, it is the cause of a measured fault."""
+    heavy = good_xml().replace('mass="7.84"', 'density="150000"')
+    alone = check_of(tmp_path, heavy, "density")
+    assert [*alone.flags] == ["density"] and not alone.errors | alone.warnings
+    fallen = check_of(tmp_path, heavy, "density", "robot-stands", "robot-torque")
+    assert [*fallen.flags] == ["density"]
+    assert fallen.flags["density"].severity in ("warning", "error")
+
+
+def check_of(folder, xml, *only):
+    (folder / "robot.xml").write_text(xml)
+    return check(str(folder / "robot.xml"), only=only, explain=False)
 
 
 FIXES = {

@@ -17,7 +17,7 @@ from gauge_envs.tools.sanity.model_checks.drives import (
     servos,
     start,
 )
-from gauge_envs.tools.sanity.model_checks.rule import Fault, rule
+from gauge_envs.tools.sanity.model_checks.rule import Fault, rule, unit_text
 from gauge_envs.tools.sanity.model_checks.runs import settled
 from gauge_envs.tools.sanity.robot.robot import (
     Robot,
@@ -27,10 +27,10 @@ from gauge_envs.tools.sanity.robot.robot import (
     switched_off,
 )
 from gauge_envs.tools.sanity.robot.standing import SOLE_WITHIN, support_m
-from gauge_envs.tools.sanity.verdict import NotApplicableError
+from gauge_envs.tools.sanity.verdict import NotApplicableError, Severity
 
-MAX_SLOPE_DEG = 60.0
-"""Largest angle between gravity and the normal of the ground [degrees]: a tilted gravity stands for a slope."""
+MAX_SLOPE_DEG = 90.0
+"""Largest angle between gravity and the normal of the ground [degrees]: a plane may be a slope or a wall."""
 
 
 @model_check(
@@ -42,7 +42,7 @@ MAX_SLOPE_DEG = 60.0
     consequence="Bodies fall as on another planet.",
 )
 def gravity(robot: Robot) -> Finding:
-    """Return the size of gravity. Another size is a warning at worst, as it can be another planet's gravity."""
+    """Return the size of gravity. Another size is advice, as another planet has it, unless the ratio names a unit."""
     vector = robot.model.opt.gravity
     if switched_off(robot.model, "gravity") or not vector.any():
         raise NotApplicableError("the model has no gravity")
@@ -51,7 +51,8 @@ def gravity(robot: Robot) -> Finding:
     # A tilted gravity pushes to the side.
     size = min(size, down, key=lambda value: abs(value - GRAVITY_M_PER_S2))
     if tilt_deg <= MAX_SLOPE_DEG:
-        return Finding(value=size, is_usual=True)
+        unit = unit_text(size / GRAVITY_M_PER_S2)
+        return Finding(value=size, most=Severity.WARNING if unit else Severity.ADVICE)
     remark = f"gravity and the ground's normal are {tilt_deg:.3g} degrees apart"
     return Finding(value=size, remark=remark, deviation=math.inf)
 
@@ -79,6 +80,7 @@ def floor_m(robot: Robot) -> float:
     interval=(0.0, 0.5),
     source="contype, conaffinity and pairs of the model; the lowest geoms in the pose in which it stands",
     consequence="The limb passes through the ground: walking does without it.",
+    most=Severity.ADVICE,
 )
 def feet(robot: Robot) -> Finding:
     """Return the number of limbs that reach the ground and cannot touch it."""
@@ -190,7 +192,7 @@ def holding_force(robot: Robot) -> Iterator[Fault]:
     interval=(FELL, ROSE),
     source="the robot's own rollout: its pose, its controls and its settings, on three feet or more",
     consequence="Episodes begin with a fall or jump that the policy has to undo.",
-    is_usual=True,
+    most=Severity.WARNING,
     is_simulated=True,
 )
 def stands(robot: Robot) -> Finding:

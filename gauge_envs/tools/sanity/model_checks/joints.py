@@ -185,7 +185,7 @@ def _response(drive: Drive) -> Iterator[Fault]:
     if drive.is_hinge and not is_floating:
         yield from drive.faults(
             weight / kp / SAG_RAD,
-            f"{drive.name} sags by {weight / kp:.2g} rad: {servo} carries {digits_text(weight)} N m"
+            f"{drive.name} sags by up to {weight / kp:.2g} rad: {servo} carries {digits_text(weight)} N m"
             f"{', the default kp of MuJoCo' if kp == 1.0 else ''}",
             True,
         )
