@@ -56,7 +56,7 @@ STYLES = {
 
 READ_TEXT = "Read: numbers of the model against each other"
 RUN_TEXT = "Run: the model from its keyframe, without actions"
-ADVICE_TEXT = "Unusual numbers, which no law forbids"
+ADVICE_TEXT = "Advice: unusual numbers, and motions that only the check makes"
 OBJECTS_TEXT = "Contacts: measured objects with these settings"
 """Headings of the stages."""
 

@@ -53,14 +53,14 @@ class SanityVerdict(StrEnum):
 class Severity(StrEnum):
     """Consequence of a finding, in rising order.
 
-    Only a law, the model's own statement against what is in force, a measured motion, or a ratio that names a unit
-    makes a warning or an error. A comparison with what is usual is advice: a number that its reader judges.
+    Only a law, the model's own statement against what is in force, its own run, or a ratio that names a unit makes a
+    warning or an error. A comparison with what is usual, and a motion that only the check makes, are advice: a number.
     """
 
     NONE = ""
     """The check passed, was not measured, or follows from another finding."""
     ADVICE = "advice"
-    """A number is unusual, and no law forbids it; or a measured object moves otherwise than in reality."""
+    """A number is unusual, or a measured object moves otherwise than in reality."""
     WARNING = "warning"
     """The model does not do what its file says, or breaks a law."""
     ERROR = "error"

@@ -243,14 +243,15 @@ def test_a_cause_has_its_effects_and_a_failed_assertion_shows_the_screen(tmp_pat
     assert report.warnings["range-unit"].line == 5
 
 
-def test_what_is_unusual_is_advice_until_the_run_shows_it(tmp_path):
-    """A trunk whose mass is no metal's is advice; where the robot then falls, it is the cause of a measured fault."""
+def test_what_is_unusual_is_advice_beside_what_the_run_shows(tmp_path):
+    """A trunk whose mass is no metal's is advice; that its motors do not hold it is measured."""
     heavy = good_xml().replace('mass="7.84"', 'density="150000"')
-    alone = check_of(tmp_path, heavy, "density")
-    assert [*alone.flags] == ["density"] and not alone.errors | alone.warnings
-    fallen = check_of(tmp_path, heavy, "density", "robot-stands", "robot-torque")
-    assert [*fallen.flags] == ["density"]
-    assert fallen.flags["density"].severity in ("warning", "error")
+    report = check_of(tmp_path, heavy, "density", "robot-torque")
+    assert [*report.flags] == ["density", "robot-torque"]
+    assert [*report.warnings] == ["robot-torque"] and not report.errors
+    lines = report.screen.strip().splitlines()
+    assert "robot-torque" not in lines[0] and "takes" in lines[2]
+    assert lines[3].startswith("Advice:") and "kg/m^3" in lines[4]
 
 
 def check_of(folder, xml, *only):

@@ -40,7 +40,6 @@ class Finding:
         place: Element of the model that decides the value; None for the model as a whole.
         parts: Value of each part that is checked, by its name; empty for the model as a whole.
         most: Largest severity that the violated limit allows.
-        deviation: Distance from reality in half-widths, where the value alone does not decide it.
         changes: Elements with an attribute and its right value, which correct the model.
     """
 
@@ -49,7 +48,6 @@ class Finding:
     place: Place | None = None
     parts: Mapping[str, float] = field(default_factory=dict)
     most: Severity = Severity.ERROR
-    deviation: float | None = None
     changes: Sequence[tuple[Place, Change]] = ()
 
 
@@ -77,7 +75,7 @@ class ModelCheck:
     reality: Reality
     interval: tuple[float, float]
     finding: Callable[[Robot], Finding]
-    most: Severity = Severity.ERROR
+    most: Severity
     is_simulated: bool = False
 
     def deviation(self, value: float) -> float:
@@ -106,9 +104,8 @@ class ModelCheck:
             applies = not isinstance(error, NotApplicableError)
             return replace(unmeasured, remark=str(error), applies=applies)
         most = min(self.most, finding.most, key=[*Severity].index)
-        finding = replace(finding, most=most)
-        whole = self._part(WHOLE, finding.value, finding)
-        parts = [self._part(*part, finding) for part in finding.parts.items()]
+        whole = self._part(WHOLE, finding.value, most)
+        parts = [self._part(*part, most) for part in finding.parts.items()]
         place, file, line = "", "", 0
         if finding.place is not None:
             place = robot.place_text(finding.place)
@@ -125,12 +122,10 @@ class ModelCheck:
             parts=tuple(parts or [whole]),
         )
 
-    def _part(self, name: str, value: float, finding: Finding) -> PartOutcome:
-        deviation = finding.deviation
-        if deviation is None:
-            deviation = self.deviation(value)
+    def _part(self, name: str, value: float, most: Severity) -> PartOutcome:
+        deviation = self.deviation(value)
         verdict = SanityVerdict.of(deviation)
-        if verdict.is_off and finding.most is not Severity.ERROR:
+        if verdict.is_off and most is not Severity.ERROR:
             verdict = SanityVerdict.WARNING
         return PartOutcome(
             name=name,
@@ -148,7 +143,7 @@ def model_check(
     source: str,
     consequence: str,
     unit: str = "1",
-    most: Severity = Severity.ERROR,
+    most: Severity = Severity.WARNING,
     is_simulated: bool = False,
 ) -> Callable[[Callable[[Robot], Finding]], ModelCheck]:
     """Return a decorator that makes a check of a function; see `ModelCheck`.

@@ -97,11 +97,16 @@ class Drive(NamedTuple):
             is_usual: Whether the limit says what is usual: a tenth beyond it passes, and more is advice.
             changes: Attributes that correct it.
         """
-        place = "joint", self.joint
         is_error = not is_usual and ratio > MAX_WARNING
         for change in changes if ratio > 1.0 + 0.1 * is_usual else ():
             yield Fault(
-                place, self.name, text, ratio, is_error, change, is_usual=is_usual
+                ("joint", self.joint),
+                self.name,
+                text,
+                ratio,
+                is_error,
+                change,
+                is_usual=is_usual,
             )
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 
 import mujoco
@@ -29,9 +28,6 @@ from gauge_envs.tools.sanity.robot.robot import (
 from gauge_envs.tools.sanity.robot.standing import SOLE_WITHIN, support_m
 from gauge_envs.tools.sanity.verdict import NotApplicableError, Severity
 
-MAX_SLOPE_DEG = 90.0
-"""Largest angle between gravity and the normal of the ground [degrees]: a plane may be a slope or a wall."""
-
 
 @model_check(
     "gravity",
@@ -40,6 +36,7 @@ MAX_SLOPE_DEG = 90.0
     interval=(9.76, 9.86),
     source="standard gravity; places on Earth have 9.76 to 9.83 m/s^2",
     consequence="Bodies fall as on another planet.",
+    most=Severity.ERROR,
 )
 def gravity(robot: Robot) -> Finding:
     """Return the size of gravity. Another size is advice, as another planet has it, unless the ratio names a unit."""
@@ -47,14 +44,13 @@ def gravity(robot: Robot) -> Finding:
     if switched_off(robot.model, "gravity") or not vector.any():
         raise NotApplicableError("the model has no gravity")
     size, down = float(np.linalg.norm(vector)), -float(np.asarray(robot.up) @ vector)
-    tilt_deg = math.degrees(math.acos(np.clip(down / size, -1.0, 1.0)))
-    # A tilted gravity pushes to the side.
+    # A tilted gravity pushes to the side: a plane may be a slope or a wall.
     size = min(size, down, key=lambda value: abs(value - GRAVITY_M_PER_S2))
-    if tilt_deg <= MAX_SLOPE_DEG:
+    if down >= 0.0:
         unit = unit_text(size / GRAVITY_M_PER_S2)
         return Finding(value=size, most=Severity.WARNING if unit else Severity.ADVICE)
-    remark = f"gravity and the ground's normal are {tilt_deg:.3g} degrees apart"
-    return Finding(value=size, remark=remark, deviation=math.inf)
+    remark = f"gravity of {-down:.3g} m/s^2 pulls off the ground"
+    return Finding(value=down, remark=remark)
 
 
 def standing_of(robot: Robot) -> Standing:
@@ -192,7 +188,6 @@ def holding_force(robot: Robot) -> Iterator[Fault]:
     interval=(FELL, ROSE),
     source="the robot's own rollout: its pose, its controls and its settings, on three feet or more",
     consequence="Episodes begin with a fall or jump that the policy has to undo.",
-    most=Severity.WARNING,
     is_simulated=True,
 )
 def stands(robot: Robot) -> Finding:

@@ -43,7 +43,7 @@ CREEP_SOURCE = (
     interval=(0.0, MAX_CREEP_MM_PER_S),
     source=CREEP_SOURCE,
     consequence="A robot that stands drifts.",
-    most=Severity.WARNING,
+    most=Severity.ADVICE,
     is_simulated=True,
 )
 def foot_creep(robot: Robot) -> Finding:
@@ -71,7 +71,7 @@ def foot_creep(robot: Robot) -> Finding:
     interval=(0.0, MAX_CREEP_MM_PER_S),
     source=CREEP_SOURCE,
     consequence="What a hand holds slips out of it.",
-    most=Severity.WARNING,
+    most=Severity.ADVICE,
     is_simulated=True,
 )
 def grasp_creep(robot: Robot) -> Finding:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterable
 from typing import NamedTuple
 
@@ -76,7 +75,7 @@ def rule(
         check = model_check(
             name,
             title=title,
-            interval=(0.0, 0.5),
+            interval=(0.0, 0.25),
             source=source,
             consequence=consequence,
             most=most,
@@ -105,7 +104,6 @@ def found(faults: Iterable[Fault]) -> Finding:
         place=worst.place,
         parts=dict.fromkeys(names, 1.0),
         most=worst.most,
-        deviation=math.inf if worst.is_error else 2.0,
         changes=[*{repr(change): change for change in changes}.values()],
     )
 

@@ -318,13 +318,10 @@ def mirror(robot: Robot) -> Iterator[Fault]:
             unit = unit_text(ratio)
             text = f"{trait.word} of left and right differs: {', '.join(texts)}{unit}"
             odd, change = _like_mirror(robot, trait, values, pair)
-            if trait.key == "contype":
-                lame, other = sorted(pair, key=values.__getitem__)
-                text = f"{name_of(model, 'geom', lame)} can touch nothing; its mirror part "
-                odd, text = lame, f"{text}{name_of(model, 'geom', other)} can"
-            place = trait.kind, odd
-            name = name_of(model, *place)
-            yield Fault(place, name, text, ratio, change=change, is_usual=not unit)
+            name = name_of(model, trait.kind, odd)
+            yield Fault(
+                (trait.kind, odd), name, text, ratio, change=change, is_usual=not unit
+            )
 
 
 def _like_mirror(

@@ -18,7 +18,6 @@ from gauge_envs.tools.sanity.robot.robot import (
     joints_of,
     name_of,
     root_of,
-    switched_off,
 )
 from gauge_envs.tools.sanity.robot.standing import LIQUID_KG_PER_M3
 from gauge_envs.tools.sanity.static_rules.shapes import (
@@ -92,9 +91,7 @@ def inertia(robot: Robot) -> Iterator[Fault]:
         square = 0.5 * model.body_inertia[body].sum() / max(mass_kg, 1e-12)
         most = shape.farthest_m(model.body_ipos[body]) ** 2
         ratio = square / max(shape.square_m2, 1e-12)
-        # What is welded to a link turns with its distance.
-        is_small = ratio < MIN_GYRATION and model.body_dofnum[body] > 0
-        if square > MAX_GYRATION * most or is_small:
+        if square > MAX_GYRATION * most or ratio < MIN_GYRATION:
             text = f"{name} of {mass_kg:.3g} kg has {digits_text(ratio)} times the inertia of its own shapes"
             yield Fault(
                 ("body", body),
@@ -224,8 +221,9 @@ def armature(robot: Robot) -> Iterator[Fault]:
         if inertia < least and span * drive.damping < drive.limit * least_s:
             text = f"{drive.name} has no armature: {drive.limit:.3g} N m give it {drive.limit / inertia:,.0f} rad/s^2"
             right = "armature", max(inertia, least - inertia)
-            place = "joint", drive.joint
-            yield Fault(place, drive.name, text, least / inertia, change=right)
+            yield Fault(
+                ("joint", drive.joint), drive.name, text, least / inertia, change=right
+            )
 
 
 # --- feet and bases --------------------------------------------------------------------------------------------------
@@ -311,14 +309,8 @@ SWIM_KG_PER_M3 = 2000.0
 def medium(robot: Robot) -> Iterator[Fault]:
     """Yield a density or viscosity of the medium of a robot with wheels, feet or a fixed base above a floor."""
     option = robot.model.opt
-    is_heavy = option.gravity.any() and not switched_off(
-        robot.model, "gravity", "contact"
-    )
-    if (
-        len(robot.ground_rows)
-        and is_heavy
-        and LIQUID_KG_PER_M3 < option.density < SWIM_KG_PER_M3
-    ):
+    is_liquid = LIQUID_KG_PER_M3 < option.density < SWIM_KG_PER_M3
+    if len(robot.ground_rows) and is_liquid:
         text = f"the medium has {option.density:g} kg/m^3, a liquid; air has 1.2"
         yield Fault(("body", 0), "option", text, option.density)
 
