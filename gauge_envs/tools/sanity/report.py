@@ -186,8 +186,9 @@ def _findings(report: Report) -> list[Part]:
     shown = ""
     flags.sort(key=lambda flag: -[*Severity].index(flag.severity))
     for result in flags:
-        is_advice = result.severity is Severity.ADVICE
-        heading = ADVICE_TEXT if is_advice else stage_of.get(result.id, "")
+        heading = stage_of.get(result.id, "")
+        if result.severity is Severity.ADVICE:
+            heading = ADVICE_TEXT
         if heading and heading != shown:
             parts.append(Paragraph(heading, Tone.NOTE))
         shown = heading

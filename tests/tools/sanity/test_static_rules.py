@@ -259,6 +259,13 @@ def check_of(folder, xml, *only):
     return check(str(folder / "robot.xml"), only=only, explain=False)
 
 
+@pytest.mark.parametrize(("condim", "is_lost"), [(1, False), (3, True), (6, True)])
+def test_a_contact_without_friction_loses_none(condim, is_lost, tmp_path):
+    constants = {"box": f'friction=".3" condim="{condim}"', "floor": 'condim="1"'}
+    flags = flags_of(ARM.format(**{**RIGHT, **constants}), tmp_path)
+    assert ("stated-friction" in flags) is is_lost
+
+
 FIXES = {
     "range-unit": ({"range": "-57.3 86"}, 'joint "elbow": range="-1.00007 1.50098"'),
     "command-range": ({"commands": "-57 86"}, 'actuator "elbow": ctrlrange="-1 1.5"'),

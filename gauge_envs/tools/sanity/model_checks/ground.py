@@ -47,8 +47,12 @@ def gravity(robot: Robot) -> Finding:
     # A tilted gravity pushes to the side: a plane may be a slope or a wall.
     size = min(size, down, key=lambda value: abs(value - GRAVITY_M_PER_S2))
     if down >= 0.0:
-        unit = unit_text(size / GRAVITY_M_PER_S2)
-        return Finding(value=size, most=Severity.WARNING if unit else Severity.ADVICE)
+        return Finding(
+            value=size,
+            most=Severity.WARNING
+            if unit_text(size / GRAVITY_M_PER_S2)
+            else Severity.ADVICE,
+        )
     remark = f"gravity of {-down:.3g} m/s^2 pulls off the ground"
     return Finding(value=down, remark=remark)
 

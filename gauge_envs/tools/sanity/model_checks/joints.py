@@ -9,7 +9,6 @@ import numpy as np
 
 from gauge_envs.pages.text import digits_text
 from gauge_envs.scene.geometry import FloatArray
-from gauge_envs.tools.sanity.model_checks.check import Change
 from gauge_envs.tools.sanity.model_checks.drives import (
     Drive,
     drags,
@@ -123,7 +122,7 @@ def _modes(robot: Robot, driven: list[Drive]) -> Iterator[Fault]:
         text += "" if drive.armature else ", no armature"
         # With this armature it swings by a radian in a step, with a damping ratio of a half.
         inertia, damping = drive.kp * step_s**2, [drive.kp * step_s, 0.0, 0.0]
-        steadier: list[Change] = [("armature", inertia), ("damping", damping)]
+        steadier = [("armature", inertia), ("damping", damping)]
         changes = (None,) if drive.armature else steadier
         yield from drive.faults(growth / GROWTH, text, changes=changes)
     for ratio, mode in _eigenmodes(robot):

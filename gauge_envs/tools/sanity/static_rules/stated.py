@@ -36,7 +36,8 @@ DEFAULT_FRICTION = 1.0
 def friction(robot: Robot) -> Iterator[Fault]:
     """Yield geoms whose stated friction loses against a greater one in each contact with what is fixed."""
     model, pairs = robot.model, robot.pairs
-    used, stated = pairs.constants[:, 1], model.geom_friction[:, 0]
+    used = pairs.constants[:, 1] * (pairs.constants[:, 0] > 1)
+    stated = model.geom_friction[:, 0]
     fixed = np.flatnonzero(pairs.kinds < PairKind.MOVING)
     for side in (0, 1):
         geoms = pairs.geoms[fixed, side]
