@@ -44,13 +44,14 @@ def gravity(robot: Robot) -> Finding:
     if switched_off(robot.model, "gravity") or not vector.any():
         raise NotApplicableError("the model has no gravity")
     size, down = float(np.linalg.norm(vector)), -float(np.asarray(robot.up) @ vector)
-    # A tilted gravity pushes to the side: a plane may be a slope or a wall.
-    size = min(size, down, key=lambda value: abs(value - GRAVITY_M_PER_S2))
+    # A tilted gravity pushes to the side, as on a slope. Beyond 60 degrees, the plane may be a wall.
+    if down > 0.5 * size:
+        down = min(size, down, key=lambda value: abs(value - GRAVITY_M_PER_S2))
     if down >= 0.0:
         return Finding(
-            value=size,
+            value=down,
             most=Severity.WARNING
-            if unit_text(size / GRAVITY_M_PER_S2)
+            if unit_text(down / GRAVITY_M_PER_S2)
             else Severity.ADVICE,
         )
     remark = f"gravity of {-down:.3g} m/s^2 pulls off the ground"
