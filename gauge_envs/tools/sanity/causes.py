@@ -29,8 +29,6 @@ HARMLESS = (
     "stated-friction",
     "stated-margin",
     "stated-solref",
-    "imu-frame",
-    "friction-lever",
 )
 """Static rules that explain no motion at rest."""
 
@@ -42,7 +40,7 @@ def absorb(results: Sequence[SanityResult]) -> list[SanityResult]:
     """Return results in which a finding has its effects, and each effect its cause.
 
     A finding of what is read explains later ones on the same elements, and all runs of the model. An effect that is an
-    error makes its cause one.
+    error makes its cause one. Advice explains nothing: what is unusual need not be the cause of what the run shows.
     """
     found: dict[str, SanityResult] = {}
     for result in results:
@@ -67,10 +65,7 @@ def _explains(cause: SanityResult, effect: SanityResult) -> bool:
     """Return whether a finding explains a later one."""
     if not (cause.id in CAUSES and cause.is_flag and effect.is_flag):
         return False
-    if cause.id in HARMLESS:
-        return False
-    if (cause.id, effect.id) == ("robot-drive", "model-overlap"):
-        # A servo presses with the force of its error; how deep is up to the contact.
+    if cause.id in HARMLESS or cause.is_usual:
         return False
     if cause.id == "range-unit" and effect.id.startswith("start-"):
         return True

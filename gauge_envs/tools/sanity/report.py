@@ -56,6 +56,7 @@ STYLES = {
 
 READ_TEXT = "Read: numbers of the model against each other"
 RUN_TEXT = "Run: the model from its keyframe, without actions"
+ADVICE_TEXT = "Advice: unusual numbers, and motions that only the check makes"
 OBJECTS_TEXT = "Contacts: measured objects with these settings"
 """Headings of the stages."""
 
@@ -177,20 +178,23 @@ def finding_text(result: SanityResult) -> str:
 
 
 def _findings(report: Report) -> list[Part]:
-    """Return a line for each finding of the target itself: errors first, then causes before effects, by stages."""
+    """Return a line for each finding of the target itself: errors, warnings by stages, then advice."""
     parts: list[Part] = []
     read, run = ({check.id for check in checks} for checks in (READ, RUN))
     stage_of = dict.fromkeys(read, READ_TEXT) | dict.fromkeys(run, RUN_TEXT)
     flags = [result for result in report.flags.values() if result.is_on_target]
     shown = ""
-    for result in sorted(flags, key=lambda flag: flag.severity is not Severity.ERROR):
+    flags.sort(key=lambda flag: -[*Severity].index(flag.severity))
+    for result in flags:
         heading = stage_of.get(result.id, "")
+        if result.severity is Severity.ADVICE:
+            heading = ADVICE_TEXT
         if heading and heading != shown:
             parts.append(Paragraph(heading, Tone.NOTE))
         shown = heading
         place = f" ({Path(result.file).name}:{result.line})" if result.file else ""
         text = f"{result.severity:8} {finding_text(result)}{place}"
-        parts.append(Paragraph(text, TONES[result.severity]))
+        parts.append(Paragraph(text, TONES.get(result.severity, Tone.PLAIN)))
         texts = {"also": "; ".join(result.effects), "fix": result.fix}
         parts += [
             Paragraph(f"         {word}: {text}")

@@ -51,14 +51,18 @@ class SanityVerdict(StrEnum):
 
 
 class Severity(StrEnum):
-    """Consequence of a finding."""
+    """Consequence of a finding, in rising order.
+
+    Only a law, the model's own statement against what is in force, its own run, or a ratio that names a unit makes a
+    warning or an error. A comparison with what is usual, and a motion that only the check makes, are advice: a number.
+    """
 
     NONE = ""
     """The check passed, was not measured, or follows from another finding."""
     ADVICE = "advice"
-    """A measured object moves otherwise than in reality."""
+    """A number is unusual, or a measured object moves otherwise than in reality."""
     WARNING = "warning"
-    """The model does not do what its file says, or what real parts do."""
+    """The model does not do what its file says, or breaks a law."""
     ERROR = "error"
     """The model cannot be used: it falls through the floor, diverges, or does not reach its commands."""
 
@@ -161,6 +165,7 @@ class SanityResult:
         verdict: SanityVerdict of this configuration.
         remark: Why it was not measured, or how it failed; empty otherwise.
         applies: Whether the check applies to the target.
+        is_usual: Whether the check compares with what is usual, so that its finding is advice.
         geoms: Geoms whose contact constants decide the verdict; empty when all contacts have the same.
         parts: Outcome for each part that is checked; empty when nothing was measured.
         place: Element of the target's own model that decides the verdict; empty otherwise.
@@ -181,6 +186,7 @@ class SanityResult:
     verdict: SanityVerdict
     remark: str = ""
     applies: bool = True
+    is_usual: bool = False
     geoms: str = ""
     parts: tuple[PartOutcome, ...] = ()
     place: str = ""
@@ -196,7 +202,7 @@ class SanityResult:
         """Consequence of the finding."""
         if not self.verdict.is_off or self.cause or self.accepted:
             return Severity.NONE
-        if not self.is_on_target:
+        if self.is_usual or not self.is_on_target:
             return Severity.ADVICE
         is_error = self.verdict is SanityVerdict.FAILED
         return Severity.ERROR if is_error else Severity.WARNING

@@ -262,10 +262,11 @@ def test_a_warning_of_mujoco_on_the_users_file_is_a_note(tmp_path, capfd):
     ("gravity", "verdict"),
     [
         ((0.0, 0.0, -9.81), "passed"),
-        # A slope of 30 degrees, the Moon, and gravity along the ground.
+        # A slope of 30 degrees, the Moon, gravity along the ground, and upwards.
         ((4.905, 0.0, -8.4957), "passed"),
         ((0.0, 0.0, -1.62), "warning"),
-        ((9.81, 0.0, 0.0), "failed"),
+        ((9.81, 0.0, 0.0), "warning"),
+        ((0.0, 0.0, 9.81), "failed"),
     ],
 )
 def test_gravity_is_that_of_the_earth_and_points_to_the_ground(gravity, verdict):

@@ -238,9 +238,32 @@ def test_a_cause_has_its_effects_and_a_failed_assertion_shows_the_screen(tmp_pat
     report = check(
         str(tmp_path / "robot.xml"), only=["range-unit", "robot-stands", "model-*"]
     )
-    assert [*report.errors] == ["range-unit"]
-    assert "looks like radians in a file of degrees" in repr(report.errors)
-    assert report.errors["range-unit"].line == 5
+    assert [*report.warnings] == ["range-unit"]
+    assert "looks like radians in a file of degrees" in repr(report.warnings)
+    assert report.warnings["range-unit"].line == 5
+
+
+def test_what_is_unusual_is_advice_beside_what_the_run_shows(tmp_path):
+    """A trunk whose mass is no metal's is advice; that its motors do not hold it is measured."""
+    heavy = good_xml().replace('mass="7.84"', 'density="150000"')
+    report = check_of(tmp_path, heavy, "density", "robot-torque")
+    assert [*report.flags] == ["density", "robot-torque"]
+    assert [*report.warnings] == ["robot-torque"] and not report.errors
+    lines = report.screen.strip().splitlines()
+    assert "robot-torque" not in lines[0] and "takes" in lines[2]
+    assert lines[3].startswith("Advice:") and "kg/m^3" in lines[4]
+
+
+def check_of(folder, xml, *only):
+    (folder / "robot.xml").write_text(xml)
+    return check(str(folder / "robot.xml"), only=only, explain=False)
+
+
+@pytest.mark.parametrize(("condim", "is_lost"), [(1, False), (3, True), (6, True)])
+def test_a_contact_without_friction_loses_none(condim, is_lost, tmp_path):
+    constants = {"box": f'friction=".3" condim="{condim}"', "floor": 'condim="1"'}
+    flags = flags_of(ARM.format(**{**RIGHT, **constants}), tmp_path)
+    assert ("stated-friction" in flags) is is_lost
 
 
 FIXES = {

@@ -44,7 +44,12 @@ def with_fix(result: SanityResult, robot: Robot) -> SanityResult:
         return result
     (place, change), *others = changes
     more = f"; {len(others)} more" if others else ""
-    return replace(result, fix=f"{_change_text(robot, place, change)}{more}")
+    key, value = change
+    if key == "exclude":
+        text = f'contact: <exclude body1="{value[0]}" body2="{value[1]}"/>'
+    else:
+        text = f'{robot.place_text(place)}: {key}="{_text(*change)}"'
+    return replace(result, fix=f"{text}{more}")
 
 
 def _corrected(robot: Robot, changes: Sequence[tuple[Place, Change]]) -> Robot | None:
@@ -63,14 +68,6 @@ def _corrected(robot: Robot, changes: Sequence[tuple[Place, Change]]) -> Robot |
     except ValueError:
         return None
     return replace(robot, model=model, spec=spec, pairs=contact_pairs(model))
-
-
-def _change_text(robot: Robot, place: Place, change: Change) -> str:
-    """Return a change as the user writes it."""
-    key, value = change
-    if key == "exclude":
-        return f'contact: <exclude body1="{value[0]}" body2="{value[1]}"/>'
-    return f'{robot.place_text(place)}: {key}="{_text(*change)}"'
 
 
 def _text(key: str, value: Any) -> str:

@@ -55,7 +55,6 @@ def is_spring(solref: FloatArray, solimp: FloatArray) -> bool:
     interval=(0.0, 0.05),
     source="solids yield at strains of 0.2 % (steel) to 2 % (plastics)",
     consequence="Stacks and grasped objects sink into each other.",
-    is_usual=True,
     is_simulated=True,
 )
 def overlap(robot: Robot) -> Finding:
@@ -101,7 +100,6 @@ FRICTION = int(mujoco.mjtConstraint.mjCNSTR_FRICTION_DOF)
     source="Coulomb: a contact with a force inside its cone of friction does not slip, nor a joint with a force below "
     "its frictionloss; 1 mm/s drifts 1 cm in 10 s",
     consequence="What friction should hold creeps.",
-    is_usual=True,
     is_simulated=True,
 )
 def slip(robot: Robot) -> Finding:
@@ -175,7 +173,6 @@ MAX_OPENING, MIN_OPENING_M = 0.05, 0.001
     interval=(0.0, MAX_OPENING),
     source="bearings and stops of machines yield by less than 1 %; MuJoCo's limits by up to 0.02 rad under a robot",
     consequence="Joined parts come apart under load, as on a rubber band.",
-    is_usual=True,
     is_simulated=True,
 )
 def constraints(robot: Robot) -> Finding:
@@ -263,7 +260,6 @@ LASTING, FLAT_M = 5, 0.001
     interval=(0.0, 1.0),
     source="Coulomb: friction acts along a plane, so that nothing lifts a body which slides, rolls or lies on it",
     consequence="What slides or rolls leaves the ground.",
-    is_usual=True,
     is_simulated=True,
 )
 def hop(robot: Robot) -> Finding:
@@ -296,7 +292,6 @@ def hop(robot: Robot) -> Finding:
     interval=(0.0, 2.0),
     source="the same model with a tenth of the step and an exact solver; 1 mm in a stance of 0.5 s",
     consequence="What rests creeps or hops, so that stances and grasps drift.",
-    is_usual=True,
     is_simulated=True,
 )
 def creep(robot: Robot) -> Finding:

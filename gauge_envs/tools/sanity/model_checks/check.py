@@ -18,6 +18,7 @@ from gauge_envs.tools.sanity.verdict import (
     Reality,
     SanityResult,
     SanityVerdict,
+    Severity,
 )
 
 Change: TypeAlias = tuple[str, Any]
@@ -38,8 +39,7 @@ class Finding:
         remark: What happens there, with its numbers and the names of the user's elements, in one phrase.
         place: Element of the model that decides the value; None for the model as a whole.
         parts: Value of each part that is checked, by its name; empty for the model as a whole.
-        is_usual: Whether the violated limit says what is usual: the verdict is then a warning at worst.
-        deviation: Distance from reality in half-widths, where the value alone does not decide it.
+        most: Largest severity that the violated limit allows.
         changes: Elements with an attribute and its right value, which correct the model.
     """
 
@@ -47,8 +47,7 @@ class Finding:
     remark: str = ""
     place: Place | None = None
     parts: Mapping[str, float] = field(default_factory=dict)
-    is_usual: bool = False
-    deviation: float | None = None
+    most: Severity = Severity.ERROR
     changes: Sequence[tuple[Place, Change]] = ()
 
 
@@ -66,7 +65,7 @@ class ModelCheck:
         reality: The limits of the value.
         interval: Limits of the value.
         finding: Function that measures a model, once. It raises `NotApplicableError` with a reason.
-        is_usual: Whether the limits say what is usual: the verdict is then a warning at worst.
+        most: Largest severity of its findings: advice where the limits say what is usual.
         is_simulated: Whether it runs the target's own model, so that settings of the engine can change it.
     """
 
@@ -76,7 +75,7 @@ class ModelCheck:
     reality: Reality
     interval: tuple[float, float]
     finding: Callable[[Robot], Finding]
-    is_usual: bool = False
+    most: Severity
     is_simulated: bool = False
 
     def deviation(self, value: float) -> float:
@@ -104,8 +103,9 @@ class ModelCheck:
         except (NotApplicableError, mujoco.FatalError) as error:
             applies = not isinstance(error, NotApplicableError)
             return replace(unmeasured, remark=str(error), applies=applies)
-        whole = self._part(WHOLE, finding.value, finding)
-        parts = [self._part(*part, finding) for part in finding.parts.items()]
+        most = min(self.most, finding.most, key=[*Severity].index)
+        whole = self._part(WHOLE, finding.value, most)
+        parts = [self._part(*part, most) for part in finding.parts.items()]
         place, file, line = "", "", 0
         if finding.place is not None:
             place = robot.place_text(finding.place)
@@ -114,6 +114,7 @@ class ModelCheck:
             unmeasured,
             configured=whole.value,
             verdict=whole.verdict,
+            is_usual=most is Severity.ADVICE,
             remark=finding.remark,
             place=place,
             file=file,
@@ -121,12 +122,10 @@ class ModelCheck:
             parts=tuple(parts or [whole]),
         )
 
-    def _part(self, name: str, value: float, finding: Finding) -> PartOutcome:
-        deviation = finding.deviation
-        if deviation is None:
-            deviation = self.deviation(value)
+    def _part(self, name: str, value: float, most: Severity) -> PartOutcome:
+        deviation = self.deviation(value)
         verdict = SanityVerdict.of(deviation)
-        if verdict.is_off and (self.is_usual or finding.is_usual):
+        if verdict.is_off and most is not Severity.ERROR:
             verdict = SanityVerdict.WARNING
         return PartOutcome(
             name=name,
@@ -144,7 +143,7 @@ def model_check(
     source: str,
     consequence: str,
     unit: str = "1",
-    is_usual: bool = False,
+    most: Severity = Severity.WARNING,
     is_simulated: bool = False,
 ) -> Callable[[Callable[[Robot], Finding]], ModelCheck]:
     """Return a decorator that makes a check of a function; see `ModelCheck`.
@@ -156,7 +155,7 @@ def model_check(
         source: Source of the limits.
         consequence: What a failure means for a policy, in one sentence.
         unit: Unit of the value; `1` for a pure number.
-        is_usual: As in `ModelCheck`.
+        most: As in `ModelCheck`.
         is_simulated: As in `ModelCheck`.
     """
 
@@ -166,7 +165,7 @@ def model_check(
             title=title,
             unit=unit,
             reality=_limits(interval, source, consequence),
-            is_usual=is_usual,
+            most=most,
             is_simulated=is_simulated,
             interval=interval,
             finding=once(function),

@@ -94,13 +94,20 @@ class Drive(NamedTuple):
         Args:
             ratio: The value over the limit.
             text: What is wrong.
-            is_usual: Whether the limit says what is usual, so that a tenth beyond it passes.
+            is_usual: Whether the limit says what is usual: a tenth beyond it passes, and more is advice.
             changes: Attributes that correct it.
         """
-        place = "joint", self.joint
         is_error = not is_usual and ratio > MAX_WARNING
         for change in changes if ratio > 1.0 + 0.1 * is_usual else ():
-            yield Fault(place, self.name, text, ratio, is_error, change)
+            yield Fault(
+                ("joint", self.joint),
+                self.name,
+                text,
+                ratio,
+                is_error,
+                change,
+                is_usual=is_usual,
+            )
 
 
 @once

@@ -27,7 +27,7 @@ from gauge_envs.tools.sanity.robot.robot import (
     joints_of,
     name_of,
 )
-from gauge_envs.tools.sanity.verdict import NotApplicableError
+from gauge_envs.tools.sanity.verdict import NotApplicableError, Severity
 
 CONSERVED = 0.05
 """Largest relative change of angular momentum that passes."""
@@ -79,7 +79,6 @@ def _flight(model: mujoco.MjModel, joints: list[int]) -> tuple[FloatArray, float
     interval=(0.0, CONSERVED),
     source="angular momentum of a free body is conserved; air takes a few percent of the spin of a thrown object",
     consequence="What is thrown or jumps turns faster or slower than in reality.",
-    is_usual=True,
     is_simulated=True,
 )
 def spin(robot: Robot) -> Finding:
@@ -115,6 +114,7 @@ SINE_S, SINE_SHARE, SINE_RAD = 1.0, 0.25, 0.2
     interval=(1.0, np.inf),
     source="a run of the model from its keyframe or initial pose, without actions and along sines",
     consequence="Training meets NaN or is reset in each episode.",
+    most=Severity.ERROR,
     is_simulated=True,
 )
 def holds(robot: Robot) -> Finding:
@@ -153,7 +153,7 @@ ENERGY_S, UNDAMPED_S = 1.0, 20.0
     source="without contact and motors, with the damping and friction of joints and servos, energy only falls; without "
     "them it stays",
     consequence="The policy is paid for motions that the engine feeds or brakes.",
-    is_usual=True,
+    most=Severity.ADVICE,
     is_simulated=True,
 )
 def energy(robot: Robot) -> Finding:
@@ -208,7 +208,6 @@ SOLVED_STATES = 20
     interval=(0.0, 0.05),
     source="Newton's method with 1e-10 and a dense Jacobian: all solvers of MuJoCo minimize one convex function",
     consequence="Contacts and joints push with forces that no model states.",
-    is_usual=True,
     is_simulated=True,
 )
 def solver(robot: Robot) -> Finding:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 
 import mujoco
@@ -17,7 +16,7 @@ from gauge_envs.tools.sanity.model_checks.drives import (
     servos,
     start,
 )
-from gauge_envs.tools.sanity.model_checks.rule import Fault, rule
+from gauge_envs.tools.sanity.model_checks.rule import Fault, rule, unit_text
 from gauge_envs.tools.sanity.model_checks.runs import settled
 from gauge_envs.tools.sanity.robot.robot import (
     Robot,
@@ -27,10 +26,7 @@ from gauge_envs.tools.sanity.robot.robot import (
     switched_off,
 )
 from gauge_envs.tools.sanity.robot.standing import SOLE_WITHIN, support_m
-from gauge_envs.tools.sanity.verdict import NotApplicableError
-
-MAX_SLOPE_DEG = 60.0
-"""Largest angle between gravity and the normal of the ground [degrees]: a tilted gravity stands for a slope."""
+from gauge_envs.tools.sanity.verdict import NotApplicableError, Severity
 
 
 @model_check(
@@ -40,20 +36,26 @@ MAX_SLOPE_DEG = 60.0
     interval=(9.76, 9.86),
     source="standard gravity; places on Earth have 9.76 to 9.83 m/s^2",
     consequence="Bodies fall as on another planet.",
+    most=Severity.ERROR,
 )
 def gravity(robot: Robot) -> Finding:
-    """Return the size of gravity. Another size is a warning at worst, as it can be another planet's gravity."""
+    """Return the size of gravity. Another size is advice, as another planet has it, unless the ratio names a unit."""
     vector = robot.model.opt.gravity
     if switched_off(robot.model, "gravity") or not vector.any():
         raise NotApplicableError("the model has no gravity")
     size, down = float(np.linalg.norm(vector)), -float(np.asarray(robot.up) @ vector)
-    tilt_deg = math.degrees(math.acos(np.clip(down / size, -1.0, 1.0)))
-    # A tilted gravity pushes to the side.
-    size = min(size, down, key=lambda value: abs(value - GRAVITY_M_PER_S2))
-    if tilt_deg <= MAX_SLOPE_DEG:
-        return Finding(value=size, is_usual=True)
-    remark = f"gravity and the ground's normal are {tilt_deg:.3g} degrees apart"
-    return Finding(value=size, remark=remark, deviation=math.inf)
+    # A tilted gravity pushes to the side, as on a slope. Beyond 60 degrees, the plane may be a wall.
+    if down > 0.5 * size:
+        down = min(size, down, key=lambda value: abs(value - GRAVITY_M_PER_S2))
+    if down >= 0.0:
+        return Finding(
+            value=down,
+            most=Severity.WARNING
+            if unit_text(down / GRAVITY_M_PER_S2)
+            else Severity.ADVICE,
+        )
+    remark = f"gravity of {-down:.3g} m/s^2 pulls off the ground"
+    return Finding(value=down, remark=remark)
 
 
 def standing_of(robot: Robot) -> Standing:
@@ -79,6 +81,7 @@ def floor_m(robot: Robot) -> float:
     interval=(0.0, 0.5),
     source="contype, conaffinity and pairs of the model; the lowest geoms in the pose in which it stands",
     consequence="The limb passes through the ground: walking does without it.",
+    most=Severity.ADVICE,
 )
 def feet(robot: Robot) -> Finding:
     """Return the number of limbs that reach the ground and cannot touch it."""
@@ -190,7 +193,6 @@ def holding_force(robot: Robot) -> Iterator[Fault]:
     interval=(FELL, ROSE),
     source="the robot's own rollout: its pose, its controls and its settings, on three feet or more",
     consequence="Episodes begin with a fall or jump that the policy has to undo.",
-    is_usual=True,
     is_simulated=True,
 )
 def stands(robot: Robot) -> Finding:

@@ -9,7 +9,6 @@ import numpy as np
 
 from gauge_envs.pages.text import digits_text
 from gauge_envs.scene.geometry import FloatArray
-from gauge_envs.tools.sanity.model_checks.check import Change
 from gauge_envs.tools.sanity.model_checks.drives import (
     Drive,
     drags,
@@ -43,28 +42,23 @@ STEP_PER_S, STEP_PER_S2 = 3.0, 30.0
 def joint_brakes(robot: Robot) -> Iterator[Fault]:
     """Yield joints whose friction, damping or armature exceeds what moves them."""
     for drive in drives(robot):
-        yield from _brakes(drive)
-
-
-def _brakes(drive: Drive) -> Iterator[Fault]:
-    robot, (force, angle) = drive.robot, drive.units
-    dry, damping, armature = drive.dry, drive.damping, drive.armature
-    brakes = f"friction {digits_text(dry)}, damping {digits_text(damping)}, armature {armature:.3g}"
-    if min(dry, damping, armature) < 0.0:
-        yield from drive.faults(
-            np.inf, f"{drive.name} has {brakes}: a negative one feeds the motion"
+        force, angle = drive.units
+        dry, damping, armature = drive.dry, drive.damping, drive.armature
+        brakes = f"friction {digits_text(dry)}, damping {digits_text(damping)}, armature {armature:.3g}"
+        if min(dry, damping, armature) < 0.0:
+            yield from drive.faults(
+                np.inf, f"{drive.name} has {brakes}: a negative one feeds the motion"
+            )
+        speed, acceleration = (
+            (STEP_PER_S, STEP_PER_S2) if drive.is_leg else (SLOW_PER_S, SLOW_PER_S2)
         )
-    speed, acceleration = (
-        (STEP_PER_S, STEP_PER_S2) if drive.is_leg else (SLOW_PER_S, SLOW_PER_S2)
-    )
-    seconds = speed / acceleration
-    brake = drags(robot, speed)[drive.dof] + armature * acceleration * drive.scale
-    yield from drive.faults(
-        brake / drive.push,
-        f"{drive.name} takes {digits_text(brake)} {force} to reach {speed * drive.scale:g} {angle}/s in {seconds:g} s, "
-        f"and its motor makes {digits_text(drive.push)} {force}: {brakes}",
-        drive.is_leg,
-    )
+        brake = drags(robot, speed)[drive.dof] + armature * acceleration * drive.scale
+        yield from drive.faults(
+            brake / drive.push,
+            f"{drive.name} takes {digits_text(brake)} {force} to reach {speed * drive.scale:g} {angle}/s in "
+            f"{speed / acceleration:g} s, and its motor makes {digits_text(drive.push)} {force}: {brakes}",
+            drive.is_leg,
+        )
 
 
 # --- servos ----------------------------------------------------------------------------------------------------------
@@ -126,7 +120,10 @@ def _modes(robot: Robot, driven: list[Drive]) -> Iterator[Fault]:
         text = f"{drive.name} is unstable: a small motion grows {np.abs(ratio):.3g} times in each step of "
         text += f"{1e3 * step_s:g} ms, with kp {digits_text(drive.kp)}, kv {digits_text(drive.kv)}"
         text += "" if drive.armature else ", no armature"
-        changes = (None,) if drive.armature else _steadier(drive)
+        # With this armature it swings by a radian in a step, with a damping ratio of a half.
+        inertia, damping = drive.kp * step_s**2, [drive.kp * step_s, 0.0, 0.0]
+        steadier = [("armature", inertia), ("damping", damping)]
+        changes = (None,) if drive.armature else steadier
         yield from drive.faults(growth / GROWTH, text, changes=changes)
     for ratio, mode in _eigenmodes(robot):
         rate = np.log(complex(ratio) or 1e-300) / step_s
@@ -138,13 +135,6 @@ def _modes(robot: Robot, driven: list[Drive]) -> Iterator[Fault]:
             text += f" for {decay_s:.2g} s" if decay_s < ENDLESS_S else " without end"
             ringing = RINGING * decay_s * abs(rate)
             yield from drive.faults(min(ringing, decay_s / RINGING_S), text, True)
-
-
-def _steadier(drive: Drive) -> list[Change]:
-    """Return the armature with which a servo swings by a radian in a step, and a damping ratio of a half."""
-    inertia = drive.kp * float(drive.robot.model.opt.timestep) ** 2
-    damping = float(np.sqrt(drive.kp * inertia))
-    return [("armature", inertia), ("damping", [damping, 0.0, 0.0])]
 
 
 def _eigenmodes(
@@ -185,7 +175,7 @@ def _response(drive: Drive) -> Iterator[Fault]:
     if drive.is_hinge and not is_floating:
         yield from drive.faults(
             weight / kp / SAG_RAD,
-            f"{drive.name} sags by {weight / kp:.2g} rad: {servo} carries {digits_text(weight)} N m"
+            f"{drive.name} sags by up to {weight / kp:.2g} rad: {servo} carries {digits_text(weight)} N m"
             f"{', the default kp of MuJoCo' if kp == 1.0 else ''}",
             True,
         )

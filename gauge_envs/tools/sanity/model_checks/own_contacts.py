@@ -16,7 +16,7 @@ from gauge_envs.tools.sanity.model_checks.check import Finding, model_check
 from gauge_envs.tools.sanity.model_checks.ground import standing_of
 from gauge_envs.tools.sanity.pair_bench import bench, touch_of, touching
 from gauge_envs.tools.sanity.robot.robot import Robot, geom_name, grasping_pairs
-from gauge_envs.tools.sanity.verdict import NotApplicableError
+from gauge_envs.tools.sanity.verdict import NotApplicableError, Severity
 
 SHARE = 0.7
 """Push over the limit of friction: that of gravity on the published wooden cube, which rests on 10 degrees."""
@@ -43,7 +43,7 @@ CREEP_SOURCE = (
     interval=(0.0, MAX_CREEP_MM_PER_S),
     source=CREEP_SOURCE,
     consequence="A robot that stands drifts.",
-    is_usual=True,
+    most=Severity.ADVICE,
     is_simulated=True,
 )
 def foot_creep(robot: Robot) -> Finding:
@@ -71,7 +71,7 @@ def foot_creep(robot: Robot) -> Finding:
     interval=(0.0, MAX_CREEP_MM_PER_S),
     source=CREEP_SOURCE,
     consequence="What a hand holds slips out of it.",
-    is_usual=True,
+    most=Severity.ADVICE,
     is_simulated=True,
 )
 def grasp_creep(robot: Robot) -> Finding:

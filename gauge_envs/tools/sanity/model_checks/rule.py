@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterable
 from typing import NamedTuple
 
@@ -13,6 +12,7 @@ from gauge_envs.tools.sanity.model_checks.check import (
     model_check,
 )
 from gauge_envs.tools.sanity.robot.robot import Place, Robot
+from gauge_envs.tools.sanity.verdict import Severity
 
 UNITS = {
     1000.0: "grams or millimetres",
@@ -37,6 +37,7 @@ class Fault(NamedTuple):
         is_error: Whether the model cannot do at all what its file says.
         change: Attribute of the element and its right value, in the units of the file; None where it is unknown.
         changed: Element that the change corrects; None for the faulty one.
+        is_usual: Whether the second number says what is usual, so that the fault is advice.
     """
 
     place: Place
@@ -46,6 +47,14 @@ class Fault(NamedTuple):
     is_error: bool = False
     change: Change | None = None
     changed: Place | None = None
+    is_usual: bool = False
+
+    @property
+    def most(self) -> Severity:
+        """Severity of the fault."""
+        if self.is_error:
+            return Severity.ERROR
+        return Severity.ADVICE if self.is_usual else Severity.WARNING
 
 
 def rule(
@@ -54,6 +63,7 @@ def rule(
     title: str,
     source: str,
     consequence: str,
+    most: Severity = Severity.ERROR,
     is_simulated: bool = False,
 ) -> Callable[[Callable[[Robot], Iterable[Fault]]], ModelCheck]:
     """Return a decorator that makes a check of a function which yields faults; see `model_check`."""
@@ -65,9 +75,10 @@ def rule(
         check = model_check(
             name,
             title=title,
-            interval=(0.0, 0.5),
+            interval=(0.0, 0.25),
             source=source,
             consequence=consequence,
+            most=most,
             is_simulated=is_simulated,
         )
         return check(measure)
@@ -77,7 +88,10 @@ def rule(
 
 def found(faults: Iterable[Fault]) -> Finding:
     """Return the finding of faults: the number of faulty elements, and the worst one with the number of others."""
-    ranked = sorted(faults, key=lambda fault: (not fault.is_error, -fault.ratio))
+    ranked = sorted(
+        faults,
+        key=lambda fault: (not fault.is_error, fault.is_usual, -fault.ratio),
+    )
     if not ranked:
         return Finding(value=0.0)
     names = dict.fromkeys(fault.name for fault in ranked)
@@ -89,8 +103,7 @@ def found(faults: Iterable[Fault]) -> Finding:
         remark=f"{worst.text}; {more} more" if more else worst.text,
         place=worst.place,
         parts=dict.fromkeys(names, 1.0),
-        is_usual=not worst.is_error,
-        deviation=math.inf if worst.is_error else 2.0,
+        most=worst.most,
         changes=[*{repr(change): change for change in changes}.values()],
     )
 

@@ -38,7 +38,11 @@ def read_model_file(path: Path, pair: GeomPair | None = None) -> TrainingConfigu
                 spec.modelfiledir = str(path.parent)
             else:
                 spec = mujoco.MjSpec.from_file(str(path))
-            _drop_pictures(spec)
+            # Pictures can be 30 times as large as the model: a pixel replaces them.
+            for texture in spec.textures:
+                texture.file, texture.cubefiles = "", [""] * 6
+                texture.builtin = mujoco.mjtBuiltin.mjBUILTIN_FLAT
+                texture.width = texture.height = 1
             model = spec.compile()
     except ValueError as error:
         raise TargetError(sentence(path, text, str(error))) from None
@@ -52,14 +56,6 @@ def read_model_file(path: Path, pair: GeomPair | None = None) -> TrainingConfigu
     )
     warned = {str(warning.message) for warning in caught}
     return replace(read, warnings=tuple(warned))
-
-
-def _drop_pictures(spec: mujoco.MjSpec) -> None:
-    """Replace the pictures of textures by a pixel: they can be 30 times as large as the model."""
-    for texture in spec.textures:
-        texture.file, texture.cubefiles = "", [""] * 6
-        texture.builtin = mujoco.mjtBuiltin.mjBUILTIN_FLAT
-        texture.width = texture.height = 1
 
 
 def read_model(

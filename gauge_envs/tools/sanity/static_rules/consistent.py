@@ -31,6 +31,7 @@ from gauge_envs.tools.sanity.robot.robot import (
     unheld,
 )
 from gauge_envs.tools.sanity.static_rules.sides import limb_of, mirrored, side_of
+from gauge_envs.tools.sanity.verdict import Severity
 
 # --- keyframes -------------------------------------------------------------------------------------------------------
 
@@ -156,6 +157,7 @@ WEAK, MAX_MARGIN = 5.0, 100.0
     title="force of a servo over its limit",
     source="a servo with a gain per degree in place of radians has 1/57.3 of its force",
     consequence="The servo holds a small part of the load of the real one.",
+    most=Severity.ADVICE,
 )
 def servo_gain(robot: Robot) -> Iterator[Fault]:
     """Yield servos that need an error of many ranges of their joint for their force limit."""
@@ -197,7 +199,7 @@ def names(robot: Robot) -> Iterator[Fault]:
         owner_name = getattr(model, owner_kind)(owner).name
         if kind == "actuator" and name and joints.get(name, owner) != owner:
             text = f"actuator {name} drives joint {owner_name}, not joint {name}"
-            yield Fault((kind, number), name, text, 2.0, True, ("joint", name))
+            yield Fault((kind, number), name, text, change=("joint", name))
             continue
         side, owner_side = side_of(name).side, side_of(owner_name).side
         # Without a mirror part, R may be a roll. A left hand may have a left and a right finger.
@@ -209,7 +211,7 @@ def names(robot: Robot) -> Iterator[Fault]:
             text = (
                 f"{kind} {name} belongs to {owner_kind} {owner_name}, on the other side"
             )
-            yield Fault((kind, number), name, text)
+            yield Fault((kind, number), name, text, is_usual=True)
 
 
 OBJECTS = ("body", "joint", "geom", "site", "actuator", "tendon")
@@ -313,17 +315,13 @@ def mirror(robot: Robot) -> Iterator[Fault]:
                 continue
             texts = [f"{name_of(model, trait.kind, n)} {values[n]:.4g}" for n in pair]
             ratio = high / max(low, 1e-12)
-            text = (
-                f"{trait.word} of mirror parts differs: {', '.join(texts)}"
-                + unit_text(ratio)
-            )
+            unit = unit_text(ratio)
+            text = f"{trait.word} of left and right differs: {', '.join(texts)}{unit}"
             odd, change = _like_mirror(robot, trait, values, pair)
-            if trait.key == "contype":
-                lame, other = sorted(pair, key=values.__getitem__)
-                text = f"{name_of(model, 'geom', lame)} can touch nothing; its mirror part "
-                odd, text = lame, f"{text}{name_of(model, 'geom', other)} can"
-            place = trait.kind, odd
-            yield Fault(place, name_of(model, *place), text, ratio, change=change)
+            name = name_of(model, trait.kind, odd)
+            yield Fault(
+                (trait.kind, odd), name, text, ratio, change=change, is_usual=not unit
+            )
 
 
 def _like_mirror(
@@ -350,6 +348,7 @@ SIDEWAYS = 0.9
     title="left and right joint that turn differently",
     source="a mirror image of a hinge turns about the mirrored axis, through the mirrored range",
     consequence="One leg bends the other way.",
+    most=Severity.ADVICE,
 )
 def mirror_axis(robot: Robot) -> Iterator[Fault]:
     """Yield hinges that are neither a copy nor the mirror image of the one on the other side."""
@@ -381,7 +380,7 @@ def mirror_axis(robot: Robot) -> Iterator[Fault]:
             f"{np.round(data.xaxis[n], 2).tolist()} {model.jnt_range[n].round(3).tolist()}"
             for n in (left, right)
         ]
-        text = f"{first} and {second} are no mirror image: axis and range {axes[0]} and {axes[1]}"
+        text = f"{first} and {second} turn differently: axis and range {axes[0]} and {axes[1]}"
         yield Fault(("joint", left), first, text)
 
 

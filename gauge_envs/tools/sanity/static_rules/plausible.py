@@ -18,7 +18,6 @@ from gauge_envs.tools.sanity.robot.robot import (
     joints_of,
     name_of,
     root_of,
-    switched_off,
 )
 from gauge_envs.tools.sanity.robot.standing import LIQUID_KG_PER_M3
 from gauge_envs.tools.sanity.static_rules.shapes import (
@@ -26,6 +25,7 @@ from gauge_envs.tools.sanity.static_rules.shapes import (
     mesh_volume_m3,
     solid_geoms,
 )
+from gauge_envs.tools.sanity.verdict import Severity
 
 # --- masses ----------------------------------------------------------------------------------------------------------
 
@@ -44,6 +44,7 @@ MIN_SHARE = 1e-3
     title="mass of a link over its own shapes",
     source="the densest metal has 22,600 kg/m^3, aerogel 3; the box around all shapes of the link",
     consequence="The policy learns forces of another robot.",
+    most=Severity.ADVICE,
 )
 def density(robot: Robot) -> Iterator[Fault]:
     """Yield bodies that are denser than any metal in the box around their shapes, or lighter than aerogel."""
@@ -78,6 +79,7 @@ MAX_GYRATION, MIN_GYRATION = 1.0, 1.0 / 5.0
     source="a mass inside a box gyrates with less than the distance of its farthest corner; with a motor at one end, "
     "with more than half of an even density",
     consequence="The link turns faster or slower than the real one.",
+    most=Severity.ADVICE,
 )
 def inertia(robot: Robot) -> Iterator[Fault]:
     """Yield bodies whose mass would lie outside of their shapes, or in a small part of them."""
@@ -89,9 +91,7 @@ def inertia(robot: Robot) -> Iterator[Fault]:
         square = 0.5 * model.body_inertia[body].sum() / max(mass_kg, 1e-12)
         most = shape.farthest_m(model.body_ipos[body]) ** 2
         ratio = square / max(shape.square_m2, 1e-12)
-        # What is welded to a link turns with its distance.
-        is_small = ratio < MIN_GYRATION and model.body_dofnum[body] > 0
-        if square > MAX_GYRATION * most or is_small:
+        if square > MAX_GYRATION * most or ratio < MIN_GYRATION:
             text = f"{name} of {mass_kg:.3g} kg has {digits_text(ratio)} times the inertia of its own shapes"
             yield Fault(
                 ("body", body),
@@ -110,6 +110,7 @@ MAX_AWAY = 10.0
     title="centre of mass outside of the link",
     source="a mass inside its shapes has its centre in the box around them",
     consequence="The link falls to a side that the real one does not have.",
+    most=Severity.ADVICE,
 )
 def centre(robot: Robot) -> Iterator[Fault]:
     """Yield bodies whose centre of mass is farther from the box around them than its diagonal."""
@@ -192,7 +193,7 @@ def range_unit(robot: Robot) -> Iterator[Fault]:
             right, span = ("range", np.rad2deg([low, high])), 1.0 / max(span, 1e-9)
         else:
             continue
-        yield Fault(("joint", joint), name, text, span, True, right)
+        yield Fault(("joint", joint), name, text, span, change=right)
 
 
 MIN_STEPS = 20.0
@@ -204,6 +205,7 @@ MIN_STEPS = 20.0
     title="joints without rotor inertia that a step does not resolve",
     source="stop to stop at full torque takes 2 sqrt(range * inertia / torque), and range * damping / torque or more",
     consequence="The joint is as fast as no rotor, and the step does not resolve it.",
+    most=Severity.ADVICE,
 )
 def armature(robot: Robot) -> Iterator[Fault]:
     """Yield hinges without armature that their motors turn from stop to stop in a few steps."""
@@ -219,8 +221,9 @@ def armature(robot: Robot) -> Iterator[Fault]:
         if inertia < least and span * drive.damping < drive.limit * least_s:
             text = f"{drive.name} has no armature: {drive.limit:.3g} N m give it {drive.limit / inertia:,.0f} rad/s^2"
             right = "armature", max(inertia, least - inertia)
-            place = "joint", drive.joint
-            yield Fault(place, drive.name, text, least / inertia, change=right)
+            yield Fault(
+                ("joint", drive.joint), drive.name, text, least / inertia, change=right
+            )
 
 
 # --- feet and bases --------------------------------------------------------------------------------------------------
@@ -234,6 +237,7 @@ LOW_FRICTION, HIGH_FRICTION = 0.05, 3.0
     title="friction of a foot that no real sole has",
     source="wet ice 0.05, racing tyres below 3",
     consequence="The foot slips or grips as on no real floor.",
+    most=Severity.ADVICE,
 )
 def foot_friction(robot: Robot) -> Iterator[Fault]:
     """Yield feet whose friction on the ground is outside of the limits."""
@@ -300,18 +304,13 @@ SWIM_KG_PER_M3 = 2000.0
     title="a liquid around a robot on feet",
     source="air has 1.2 kg/m^3 and 1.8e-5 Pa s; water 1000 and 1e-3",
     consequence="The robot walks as under water.",
+    most=Severity.ADVICE,
 )
 def medium(robot: Robot) -> Iterator[Fault]:
     """Yield a density or viscosity of the medium of a robot with wheels, feet or a fixed base above a floor."""
     option = robot.model.opt
-    is_heavy = option.gravity.any() and not switched_off(
-        robot.model, "gravity", "contact"
-    )
-    if (
-        len(robot.ground_rows)
-        and is_heavy
-        and LIQUID_KG_PER_M3 < option.density < SWIM_KG_PER_M3
-    ):
+    is_liquid = LIQUID_KG_PER_M3 < option.density < SWIM_KG_PER_M3
+    if len(robot.ground_rows) and is_liquid:
         text = f"the medium has {option.density:g} kg/m^3, a liquid; air has 1.2"
         yield Fault(("body", 0), "option", text, option.density)
 
@@ -324,6 +323,7 @@ SENSORS = (mujoco.mjtSensor.mjSENS_ACCELEROMETER, mujoco.mjtSensor.mjSENS_GYRO)
     title="inertial sensor upside down",
     source="an accelerometer at rest measures 9.81 m/s^2 upwards",
     consequence="The policy gets gravity with the wrong sign.",
+    most=Severity.ADVICE,
 )
 def imu_frame(robot: Robot) -> Iterator[Fault]:
     """Yield sites of inertial sensors whose z axis points down where the robot stands."""

@@ -17,6 +17,7 @@ from gauge_envs.tools.sanity.robot.robot import (
     geom_name,
     name_of,
 )
+from gauge_envs.tools.sanity.verdict import Severity
 
 # --- contacts --------------------------------------------------------------------------------------------------------
 
@@ -35,7 +36,8 @@ DEFAULT_FRICTION = 1.0
 def friction(robot: Robot) -> Iterator[Fault]:
     """Yield geoms whose stated friction loses against a greater one in each contact with what is fixed."""
     model, pairs = robot.model, robot.pairs
-    used, stated = pairs.constants[:, 1], model.geom_friction[:, 0]
+    used = pairs.constants[:, 1] * (pairs.constants[:, 0] > 1)
+    stated = model.geom_friction[:, 0]
     fixed = np.flatnonzero(pairs.kinds < PairKind.MOVING)
     for side in (0, 1):
         geoms = pairs.geoms[fixed, side]
@@ -193,6 +195,7 @@ LEVER, MIN_TIP_M = 3.0, 0.0025
     title="torsional friction over the size of a part",
     source="an even disc has a lever of two thirds of its radius, and no contact is larger than the part",
     consequence="Feet and fingers hold as if glued: they neither turn nor roll.",
+    most=Severity.ADVICE,
 )
 def lever(robot: Robot) -> Iterator[Fault]:
     """Yield geoms of a robot whose torsional friction, a length, exceeds their size."""
@@ -232,7 +235,7 @@ def gear(robot: Robot) -> Iterator[Fault]:
         name = name_of(model, "actuator", number)
         text = f"actuator {name} makes no force: gear {model.actuator_gear[number, 0]:g}, gain "
         text += f"{model.actuator_gainprm[number, 0]:g}"
-        yield Fault(("actuator", number), name, text, is_error=True)
+        yield Fault(("actuator", number), name, text)
 
 
 FLOATING = 0.5
