@@ -41,14 +41,7 @@ class TextChange:
         self._inserted: list[tuple[int, int, str]] = []
 
     def give(self, element: Element | None, kind: str, key: str, value: str) -> bool:
-        """Change an attribute where an element takes it from, and return whether the text has it.
-
-        Args:
-            element: The element; None for the default of all.
-            kind: Its tag in the default of all.
-            key: The attribute.
-            value: Its new value.
-        """
+        """Change an attribute where an element, or None for the default of a kind, takes it from; else return False."""
         for source in self._sources(element, kind):
             if key in source.values:
                 self._values[source, key] = value

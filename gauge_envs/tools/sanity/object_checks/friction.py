@@ -66,12 +66,7 @@ def _downhill(
 ) -> ObjectCheck:
     """Return the check of a cube that moves down its board, measured in the second half of its scenario.
 
-    Args:
-        title: Title.
-        scenario: Scenario.
-        unit: Unit of the value.
-        reality: The motion in reality.
-        motion: Function of times [s] and of displacements downhill [mm], both of shape [sample_count].
+    `motion` is a function of times [s] and of displacements downhill [mm], both of shape [sample_count].
     """
 
     def value(rollout: Recording) -> float:

@@ -21,12 +21,6 @@ def _checked(
 ) -> TrainingConfiguration:
     """Return a configuration after a trial of its settings.
 
-    Args:
-        name: Name of the configuration.
-        engine: Name of the backend.
-        settings: Settings of the backend.
-        source: Description of what was read.
-
     Raises:
         TargetError: A setting does not exist or has an impossible value.
     """

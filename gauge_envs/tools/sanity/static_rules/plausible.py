@@ -150,7 +150,7 @@ def mesh_mass(robot: Robot) -> Iterator[Fault]:
         exact_kg = geom.density * mesh_volume_m3(model, geom.id)
         if mass_kg > MESH_SHARE * exact_kg:
             name = name_of(model, "body", body)
-            text = f'{name} weighs {mass_kg:.3g} kg; density times volume is {exact_kg:.3g}: set inertia="exact"'
+            text = f"{name} weighs {mass_kg:.3g} kg; density times volume is {exact_kg:.3g}"
             yield Fault(("body", body), name, text, mass_kg / max(exact_kg, 1e-12))
 
 
