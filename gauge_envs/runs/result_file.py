@@ -137,17 +137,7 @@ def _check(result: Result) -> None:
     """Check values that the types do not check."""
     if result.asset:
         _AssetRecord.model_validate(result.asset)
-    own_ids = {variant.id for variant in user_variants()}
-    file = result.task_file
-    if file is not None and result.id not in own_ids and is_regular_file(Path(file)):
-        # The task file of the run names the experiment, wherever the result is read.
-        matching_variants(file)
-    try:
-        find_variant(result.id)
-    except UnknownNameError as error:
-        raise ValueError(
-            f"{error}. If one of your task files has it, set {OWN_TASKS} to the file or its folder"
-        ) from None
+    _check_id(result)
     choices = [
         ("score.kind", result.score.kind, Kind),
         ("marker_proxy", result.marker_proxy, MarkerProxy),
@@ -159,6 +149,23 @@ def _check(result: Result) -> None:
     for key, value, known in choices:
         if value not in tuple(known):
             raise ValueError(f"{key} is {value!r}, expected one of {', '.join(known)}")
+
+
+def _check_id(result: Result) -> None:
+    """Check that the experiment is known; the task file of the run names it, wherever the result is read."""
+    file, own_ids = result.task_file, {variant.id for variant in user_variants()}
+    if file is not None and result.id not in own_ids:
+        if not is_regular_file(Path(file)):
+            raise ValueError(
+                f"the task file of {result.id}, {file}, is gone: put it back, or set {OWN_TASKS} to the file or its "
+                "folder"
+            )
+        matching_variants(file)
+    try:
+        find_variant(result.id)
+    except UnknownNameError as error:
+        place = f". {file} has other experiments now" if file else ""
+        raise ValueError(f"{error}{place}") from None
 
 
 def _check_trajectory(result: Result) -> None:

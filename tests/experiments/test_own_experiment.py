@@ -81,7 +81,13 @@ def test_a_path_is_run_in_another_process_and_its_result_is_read_again(
     (example / "crate.toml").rename(example / "moved.toml")
     unknown = gauge("compare", "results")
     assert unknown.exit_code
-    assert "If one of your task files has it, set GAUGE_TASKS" in unknown.stderr
+    stated = " ".join(unknown.stderr.split())
+    assert f"the task file of GAUGE/{NAME}, {example / 'crate.toml'}, is gone" in stated
+    (example / "moved.toml").rename(example / "crate.toml")
+    changed_text(example / "crate.toml", ('"CrateSlide"', '"BoxSlide"'))
+    renamed = gauge("compare", "results")
+    assert renamed.exit_code
+    assert "crate.toml has other experiments now" in " ".join(renamed.stderr.split())
 
 
 def test_a_damaged_band_is_named_with_its_trial_and_frame(example):
@@ -204,5 +210,5 @@ def test_a_result_knows_the_task_file_of_its_experiment(example, tmp_path, monke
     assert load_result(file).score == result.score
     monkeypatch.delenv("GAUGE_TASKS")
     (example / "crate.toml").unlink()
-    with pytest.raises(ResultFileError, match="unknown experiment"):
+    with pytest.raises(ResultFileError, match=r"crate\.toml, is gone"):
         load_result(file)
