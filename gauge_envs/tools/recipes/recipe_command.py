@@ -230,7 +230,7 @@ def recipe_fabrics(
     ] = None,
     form: arguments.Form = Format.TEXT,
 ) -> None:
-    """Show a tested fabric, or without tests the six fabrics, in the constants of every engine.
+    """Show a tested fabric, or the six fabrics, in the constants of every engine.
 
     The tests are a cantilever (ASTM D1388), a stretched and a sheared strip, a balance and a thickness gauge. Peirce's
     law gives the bending stiffness.
