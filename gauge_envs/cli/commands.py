@@ -90,7 +90,7 @@ BUNDLED_COMMANDS = {
         version=3,
     ),
     "recipe fabrics": CommandInfo(
-        "Show the six fabrics in the constants of every engine."
+        "Show a tested fabric, or the six fabrics, in the constants of every engine."
     ),
     "list materials": CommandInfo(version=3),
     "backend check": CommandInfo(

@@ -175,6 +175,28 @@ def find_variant(name: str) -> Variant:
     return known[plain]
 
 
+def recorded_variant(name: str, file: str | None) -> Variant:
+    """Return the variant of a result; the task file in it names the experiment, wherever the result is read.
+
+    Args:
+        name: Id in the result.
+        file: Path of the user's task file in the result; None for an id of the package.
+
+    Raises:
+        UnknownNameError: There is no such variant.
+        TaskFileError: The task file is gone, cannot be used, or has other experiments.
+    """
+    if file is not None and name not in {variant.id for variant in user_variants()}:
+        path = Path(file)
+        if not is_regular_file(path):
+            reason = f"it has {name} and is gone: put it back, or set {OWN_TASKS} to the file or its folder"
+            raise TaskFileError(path, None, reason)
+        ids = [variant.id for variant in _variants_of_file(path)]
+        if name not in ids:
+            raise TaskFileError(path, None, f"it has {', '.join(ids)}, not {name}")
+    return find_variant(name)
+
+
 def matching_variants(pattern: str) -> list[Variant]:
     """Return the variants of an id, a pattern or a task file.
 

@@ -15,7 +15,7 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter
 
-from gauge_envs.errors import AssetError, ResultFileError, UnknownNameError
+from gauge_envs.errors import AssetError, ResultFileError
 from gauge_envs.experiments.experiment import (
     Asset,
     AssetKind,
@@ -25,11 +25,10 @@ from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.task_files import task_spec
 from gauge_envs.experiments.variants import (
     find_variant,
-    matching_variants,
+    recorded_variant,
     task_path,
-    user_variants,
 )
-from gauge_envs.files import is_regular_file, os_errors, write_whole
+from gauge_envs.files import os_errors, write_whole
 from gauge_envs.observables.observer import MarkerProxy
 from gauge_envs.optional import needs_extra
 from gauge_envs.reading import reading
@@ -37,7 +36,6 @@ from gauge_envs.references.imported import dataset_record
 from gauge_envs.references.kind import Kind
 from gauge_envs.references.user_data import (
     BUNDLED_DATA,
-    OWN_TASKS,
     DataSource,
     own_task_files,
 )
@@ -137,17 +135,7 @@ def _check(result: Result) -> None:
     """Check values that the types do not check."""
     if result.asset:
         _AssetRecord.model_validate(result.asset)
-    own_ids = {variant.id for variant in user_variants()}
-    file = result.task_file
-    if file is not None and result.id not in own_ids and is_regular_file(Path(file)):
-        # The task file of the run names the experiment, wherever the result is read.
-        matching_variants(file)
-    try:
-        find_variant(result.id)
-    except UnknownNameError as error:
-        raise ValueError(
-            f"{error}. If one of your task files has it, set {OWN_TASKS} to the file or its folder"
-        ) from None
+    recorded_variant(result.id, result.task_file)
     choices = [
         ("score.kind", result.score.kind, Kind),
         ("marker_proxy", result.marker_proxy, MarkerProxy),

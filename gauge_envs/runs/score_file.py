@@ -8,7 +8,7 @@ from gauge_envs.errors import TrajectoryFileError
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.resolve import load_experiment, shots_of, with_trial
 from gauge_envs.experiments.scene_builder import Parameters
-from gauge_envs.experiments.variants import find_variant
+from gauge_envs.experiments.variants import find_variant, recorded_variant
 from gauge_envs.files import json_ready
 from gauge_envs.reading import faults_of
 from gauge_envs.references.band import Band
@@ -204,6 +204,8 @@ def _experiment_of_file(
     if origin.id is None:
         return load_experiment(name, parameters, reference=reference)
     with faults_of(file, TrajectoryFileError):
+        if variant is None:
+            recorded_variant(origin.id, origin.task_file)
         experiment = load_experiment(name, parameters, reference=reference)
         file_id = origin.id if origin.has_asset else find_variant(origin.id).id
         if file_id != experiment.id:

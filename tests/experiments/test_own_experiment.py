@@ -19,7 +19,6 @@ from gauge_envs import GaugeEnv, load_experiment, reference_band
 from gauge_envs.errors import (
     ParameterError,
     ReferenceFileError,
-    ResultFileError,
     TaskFileError,
 )
 from gauge_envs.experiments.variants import (
@@ -79,9 +78,19 @@ def test_a_path_is_run_in_another_process_and_its_result_is_read_again(
     assert NAME in gauge("compare", "results").stdout
     monkeypatch.setenv("GAUGE_TASKS", "")
     (example / "crate.toml").rename(example / "moved.toml")
-    unknown = gauge("compare", "results")
-    assert unknown.exit_code
-    assert "If one of your task files has it, set GAUGE_TASKS" in unknown.stderr
+    file = f"results/{NAME}.mujoco.published.json"
+    for words in (("compare", "results"), ("score", file)):
+        gone = gauge(*words)
+        assert gone.exit_code
+        stated = f"{example / 'crate.toml'}: it has GAUGE/{NAME} and is gone"
+        assert stated in " ".join(gone.stderr.split())
+    (example / "moved.toml").rename(example / "crate.toml")
+    assert "1 of 1 solve their scene" in gauge("score", file).stdout
+    monkeypatch.setenv("GAUGE_TASKS", "")
+    changed_text(example / "crate.toml", ('"CrateSlide"', '"BoxSlide"'))
+    renamed = gauge("compare", "results")
+    assert renamed.exit_code
+    assert f"it has GAUGE/BoxSlide-pine, not GAUGE/{NAME}" in renamed.stderr
 
 
 def test_a_damaged_band_is_named_with_its_trial_and_frame(example):
@@ -204,5 +213,5 @@ def test_a_result_knows_the_task_file_of_its_experiment(example, tmp_path, monke
     assert load_result(file).score == result.score
     monkeypatch.delenv("GAUGE_TASKS")
     (example / "crate.toml").unlink()
-    with pytest.raises(ResultFileError, match="unknown experiment"):
+    with pytest.raises(TaskFileError, match="and is gone"):
         load_result(file)

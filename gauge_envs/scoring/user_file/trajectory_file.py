@@ -87,12 +87,14 @@ class FileOrigin:
 
     Attributes:
         id: Id of the experiment.
+        task_file: Task file of the user with the id, as `Result.task_file`.
         parameters: Parameters of the scene, not checked.
         has_asset: Whether the file is a result whose scene came from an asset.
         jitter: Standard deviations of its initial state, or its trial, as `Result.jitter`; empty for neither.
     """
 
     id: str | None = None
+    task_file: str | None = None
     parameters: Any = None
     has_asset: bool = False
     jitter: Mapping[str, Any] = field(default_factory=dict)
@@ -113,11 +115,15 @@ def file_origin(file: Path) -> FileOrigin:
             raise ValueError(
                 f"id is {name!r}, expected text such as 'GAUGE/SlopeSlider-2-wood'"
             )
+        task_file = content.get("task_file")
+        if not isinstance(task_file, str | None):
+            raise ValueError(f"task_file is {task_file!r:.40}, expected a path")
         is_mapping = isinstance(jitter, dict)
         if not is_mapping or not np.isfinite([*map(_number, jitter.values())]).all():
             raise ValueError(f"jitter is {jitter!r:.40}, expected numbers")
     return FileOrigin(
         id=name,
+        task_file=task_file,
         parameters=content.get("parameters"),
         has_asset=bool(content.get("asset")),
         jitter=jitter,

@@ -33,6 +33,39 @@ BEND_TOLERANCE = 0.2
 """Largest accepted relative error of the bending stiffness, as in the conformance checks."""
 
 
+def fabric_of_tests(
+    *,
+    bending_length_m: float,
+    stretch_n_per_m: float,
+    shear_n_per_m: float,
+    areal_density_kg_per_m2: float,
+    thickness_m: float,
+) -> Fabric:
+    """Return a fabric from its tests.
+
+    The bending stiffness per width is B = w c^3, with weight per area w and bending length c (Peirce 1930; ASTM D1388).
+
+    Args:
+        bending_length_m: c, half the overhang at which a strip droops to 41.5 degrees.
+        stretch_n_per_m: Slope of force per width over strain, with free transverse edges.
+        shear_n_per_m: Slope of force per width over engineering shear strain.
+        areal_density_kg_per_m2: Mass per area.
+        thickness_m: Thickness.
+
+    Raises:
+        ParameterError: A value is not positive.
+    """
+    weight_n_per_m2 = areal_density_kg_per_m2 * GRAVITY_M_PER_S2
+    return Fabric(
+        stretch_stiffness_n_per_m=stretch_n_per_m,
+        shear_stiffness_n_per_m=shear_n_per_m,
+        # On a square grid of hinges, K_theta is B, see plate_bending_stiffness.
+        bend_stiffness_n_m_per_rad=weight_n_per_m2 * bending_length_m**3,
+        thickness_m=thickness_m,
+        areal_density_kg_per_m2=areal_density_kg_per_m2,
+    )
+
+
 def fabric_constants(fabric: Fabric) -> dict[str, FabricConstants]:
     """Return the constants of a fabric for each engine with a mapping, by name of the engine."""
     constants = {ISAAC: surface_constants(fabric)}

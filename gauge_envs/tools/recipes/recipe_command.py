@@ -199,11 +199,71 @@ def _contact(
     return pair, find_recipe(settings, Aim(**given))
 
 
-def recipe_fabrics(form: arguments.Form = Format.TEXT) -> None:
-    """Show the six fabrics in the constants of every engine."""
-    from gauge_envs.tools.recipes.report import constants_document
+def _tested(option: str, unit: str, text: str) -> Any:
+    return arguments.measured(
+        option, unit, text, arguments.SCENE, is_positive=True, show_default=False
+    )
 
-    print_document(constants_document(known_fabrics()), form)
+
+def recipe_fabrics(
+    overhang_m: Annotated[
+        float | None,
+        _tested("--overhang", "m", "Overhang at which a strip droops to 41.5 degrees."),
+    ] = None,
+    bending_length_m: Annotated[
+        float | None,
+        _tested("--bending-length", "m", "Half the overhang, in place of it."),
+    ] = None,
+    stretch_n_per_m: Annotated[
+        float | None,
+        _tested("--stretch", "N/m", "Slope of force per width over strain."),
+    ] = None,
+    shear_n_per_m: Annotated[
+        float | None,
+        _tested("--shear", "N/m", "Slope of force per width over shear strain."),
+    ] = None,
+    areal_density_kg_per_m2: Annotated[
+        float | None, _tested("--mass-per-area", "kg/m2", "Mass per area.")
+    ] = None,
+    thickness_m: Annotated[
+        float | None, _tested("--thickness", "m", "Thickness.")
+    ] = None,
+    form: arguments.Form = Format.TEXT,
+) -> None:
+    """Show a tested fabric, or the six fabrics, in the constants of every engine.
+
+    The tests are a cantilever (ASTM D1388), a stretched and a sheared strip, a balance and a thickness gauge. Peirce's
+    law gives the bending stiffness.
+    """
+    from gauge_envs.tools.recipes.fabrics import fabric_of_tests
+    from gauge_envs.tools.recipes.report import constants_document, tested_document
+
+    tests = {
+        "--overhang": overhang_m,
+        "--stretch": stretch_n_per_m,
+        "--shear": shear_n_per_m,
+        "--mass-per-area": areal_density_kg_per_m2,
+        "--thickness": thickness_m,
+    }
+    if overhang_m and bending_length_m:
+        raise ParameterError("--overhang and --bending-length: give one of the two")
+    if bending_length_m:
+        tests["--overhang"] = 2.0 * bending_length_m
+    given = {name: value for name, value in tests.items() if value is not None}
+    if not given:
+        print_document(constants_document(known_fabrics()), form)
+        return
+    missing = [name for name in tests if name not in given]
+    if missing:
+        raise ParameterError(f"the tests are incomplete: add {', '.join(missing)}")
+    fabric = fabric_of_tests(
+        bending_length_m=0.5 * given["--overhang"],
+        stretch_n_per_m=given["--stretch"],
+        shear_n_per_m=given["--shear"],
+        areal_density_kg_per_m2=given["--mass-per-area"],
+        thickness_m=given["--thickness"],
+    )
+    print_document(tested_document(fabric), form)
 
 
 def list_materials(patterns: Sequence[str]) -> list[Table]:

@@ -1,8 +1,15 @@
 """Report recipes, and measured materials and fabrics, as tables."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict, replace
 
-from gauge_envs.pages.document import Document, Paragraph, Part, Tone
+from gauge_envs.pages.document import (
+    Bullets,
+    Document,
+    Paragraph,
+    Part,
+    Tone,
+)
 from gauge_envs.pages.table import Column, Place, Table
 from gauge_envs.scene.fabrics import Fabric
 from gauge_envs.tools.recipes.fabrics import fabric_constants
@@ -115,12 +122,29 @@ def constants_document(fabrics: Mapping[str, Fabric]) -> Document:
         rows=rows,
         notes=(
             "",
-            "All mappings have the measured stretch stiffness. gauge recipe FABRIC -b ENGINE names losses. "
-            "--format wide shows the units.",
+            "All mappings have the measured stretch stiffness. --format wide shows the units.",
         ),
     )
+    losses = Paragraph("gauge recipe FABRIC -b ENGINE names losses.", Tone.NOTE)
     constants = {
         name: {engine: mapped.constants for engine, mapped in by_engine.items()}
         for name, by_engine in known.items()
     }
-    return Document(parts=(table,), rows=[constants])
+    return Document(parts=(table, losses), rows=[constants])
+
+
+def tested_document(fabric: Fabric) -> Document:
+    """Return the constants of a tested fabric for a task file and for every engine, and what each mapping loses."""
+    constants = constants_document({"tested": fabric})
+    values = [f"{name} = {value:.6g}" for name, value in asdict(fabric).items()]
+    lost = [
+        f"{engine} loses {loss}."
+        for engine, mapped in fabric_constants(fabric).items()
+        for loss in mapped.lost
+    ]
+    parts = (
+        *map(Paragraph, ["[constants.textile.tested]", *values, ""]),
+        constants.parts[0],
+        Bullets(lost),
+    )
+    return replace(constants, parts=parts)

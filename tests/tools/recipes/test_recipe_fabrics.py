@@ -1,17 +1,26 @@
 """Recipes of fabrics: stiffness by the law of an engine, a simulated strip, and a snippet in plain MuJoCo."""
 
+import json
+import tomllib
 from dataclasses import replace
 
 import mujoco
 import numpy as np
 import pytest
+from scipy.integrate import solve_bvp
 
 from gauge_envs.errors import ParameterError
 from gauge_envs.experiments.task_files import fabrics
 from gauge_envs.fixtures.recording import DivergedError
+from gauge_envs.scene.fabrics import Fabric
 from gauge_envs.scoring.estimators import hann_mean
 from gauge_envs.tools.recipes import fabrics as recipes
-from gauge_envs.tools.recipes.fabrics import NOTHING_LOST, fabric_recipe
+from gauge_envs.tools.recipes.fabrics import (
+    NOTHING_LOST,
+    fabric_constants,
+    fabric_of_tests,
+    fabric_recipe,
+)
 
 SATIN = fabrics("TextileFlinging")["satin"]
 STRETCH = SATIN.stretch_stiffness_n_per_m
@@ -107,3 +116,66 @@ def test_the_snippet_stretches_in_a_plain_loop_of_mujoco(recipe):
 def test_an_engine_without_cloth_is_an_error_with_the_supported_engines():
     with pytest.raises(ParameterError, match="choose one of"):
         fabric_recipe(SATIN, "pybullet")
+
+
+TESTS = {
+    "--overhang": "0.042m",
+    "--stretch": "600",
+    "--shear": "80",
+    "--mass-per-area": "0.4",
+    "--thickness": "0.0007m",
+}
+
+
+@pytest.mark.parametrize("name", fabrics("TextileFlinging"))
+def test_an_overhanging_strip_of_a_tested_fabric_droops_to_the_angle_of_the_test(name):
+    """The chord of the heavy elastica is at 41.5 degrees if the strip is as long as the overhang."""
+    published = fabrics("TextileFlinging")[name]
+    weight = published.areal_density_kg_per_m2 * G
+    bending_length_m = np.cbrt(published.bend_stiffness_n_m_per_rad / weight)
+    fabric = fabric_of_tests(
+        bending_length_m=bending_length_m,
+        stretch_n_per_m=published.stretch_stiffness_n_per_m,
+        shear_n_per_m=published.shear_stiffness_n_per_m,
+        areal_density_kg_per_m2=published.areal_density_kg_per_m2,
+        thickness_m=published.thickness_m,
+    )
+    length_m = 2.0 * bending_length_m
+    over = weight / fabric.bend_stiffness_n_m_per_rad
+    places_m = np.linspace(0.0, length_m, 41)
+    strip = solve_bvp(
+        lambda s, y: [y[1], over * (length_m - s) * np.cos(y[0])],
+        lambda low, high: [low[0], high[1]],
+        places_m,
+        [np.sin(0.25 * np.pi * places_m / length_m), 0.0 * places_m],
+    )
+    angles = strip.sol(places_m)[0]
+    droop = -np.trapezoid(np.sin(angles)) / np.trapezoid(np.cos(angles))
+    assert np.degrees(np.arctan(droop)) == pytest.approx(41.5, abs=0.5)
+    for engine, mapped in fabric_constants(published).items():
+        own = fabric_constants(fabric)[engine].constants
+        assert own == pytest.approx(mapped.constants, rel=1e-12), engine
+
+
+def test_tests_give_a_task_file_and_the_constants_of_engines(gauge):
+    """By hand: c = 21 mm and w = 0.4 kg/m2 x 9.80665 m/s2, so B = 36.3278 uN m."""
+    words = [word for pair in TESTS.items() for word in pair]
+    shown = gauge("recipe", "fabrics", *words).stdout
+    pasted = tomllib.loads(shown.partition("\n  constant")[0])
+    fabric = Fabric(**pasted["constants"]["textile"]["tested"])
+    assert fabric.bend_stiffness_n_m_per_rad == pytest.approx(36.3278e-6, rel=1e-5)
+    assert "newton loses shear" in shown
+    row = json.loads(gauge("recipe", "fabrics", *words, "--json").stdout)["tested"]
+    assert {"genesis", "isaac", "mujoco", "newton"} <= row.keys()
+    length = ["--bending-length", "0.021", *words[2:]]
+    same = json.loads(gauge("recipe", "fabrics", *length, "--json").stdout)["tested"]
+    assert same == row
+
+
+@pytest.mark.parametrize("left_out", TESTS)
+def test_incomplete_and_impossible_tests_are_refused(left_out, gauge):
+    given = [word for pair in TESTS.items() if left_out not in pair for word in pair]
+    incomplete = gauge("recipe", "fabrics", *given)
+    assert incomplete.exit_code == 2
+    assert f"add {left_out}" in incomplete.stderr
+    assert gauge("recipe", "fabrics", *given, left_out, "0").exit_code == 2
