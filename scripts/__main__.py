@@ -43,7 +43,7 @@ DRAWN: Mapping[str, Callable[[], object]] = {
     "engines": build_conformance.draw,
     "hero": build_hero.draw,
 }
-"""Builders of scenes in `assets/`, deleted pictures of families, the cheat sheet, the chart of engines, and the first picture."""
+"""Builders of scenes in `assets/`, deleted pictures of families, the cheat sheet, the chart, and the first picture."""
 
 
 def build(names: Sequence[str]) -> None:

@@ -17,6 +17,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from gauge_envs.tools.conformance import Status, checks
+from gauge_envs.tools.conformance.model import CheckResult
 from gauge_envs.tools.conformance.report import comparison
 from gauge_envs.tools.conformance.results import (
     EngineColumn,
@@ -115,20 +116,16 @@ def draw() -> None:
 def _draw_worst(axes: Axes, use: str, column: EngineColumn, row: int) -> None:
     """Draw the worst check that ran, within the limits of the picture; an error is the largest one."""
     needed = {check.id for pattern in USES[use] for check in checks([pattern])}
-    ratios = []
-    for result in column.results.values():
-        if result.check not in needed or not (
-            result.is_bad or result.status is Status.PASS
-        ):
-            continue
-        ratio = RATIOS[result.is_bad]
-        if (
-            result.width
-            and result.measured is not None
-            and np.isfinite(result.measured)
-        ):
-            ratio = abs(result.measured - result.expected) / result.width
-        ratios.append(ratio)
+    ran = [column.results[name] for name in needed & column.results.keys()]
+    ratios = [_ratio(r) for r in ran if r.is_bad or r.status is Status.PASS]
     colour, marker = PRESETS[column.name]
     if ratios:
         axes.plot(np.clip(max(ratios), *RATIOS), row, marker, color=colour)
+
+
+def _ratio(result: CheckResult) -> float:
+    """Return the error over the tolerance; a limit of the picture where a check has no number or no tolerance."""
+    measured, expected = result.measured, result.expected
+    if not result.width or measured is None or expected is None or np.isnan(measured):
+        return RATIOS[result.is_bad]
+    return abs(measured - expected) / result.width
