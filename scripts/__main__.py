@@ -40,9 +40,10 @@ DRAWN: Mapping[str, Callable[[], object]] = {
     "assets": lambda: build_assets(assets_folder()),
     "pictures": build_environments.draw_missing,
     "cheat_sheet": build_cheat_sheet.draw,
+    "engines": build_conformance.draw,
     "hero": build_hero.draw,
 }
-"""Builders of scenes in `assets/`, deleted pictures of families, the cheat sheet as PDF, and the first picture."""
+"""Builders of scenes in `assets/`, deleted pictures of families, the cheat sheet, the chart, and the first picture."""
 
 
 def build(names: Sequence[str]) -> None:

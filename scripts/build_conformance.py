@@ -12,7 +12,12 @@ Engines that need environments of their own have files of their own, which the s
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
 from gauge_envs.tools.conformance import Status, checks
+from gauge_envs.tools.conformance.model import CheckResult
 from gauge_envs.tools.conformance.report import comparison
 from gauge_envs.tools.conformance.results import (
     EngineColumn,
@@ -24,6 +29,10 @@ from scripts.generated import ROOT, SCORING, markdown_table, page_part, with_par
 
 PAGE = ROOT / "docs" / "engines" / "conformance.md"
 RESULTS = SCORING / "conformance.json"
+PICTURE = ROOT / "docs" / "images" / "engines.webp"
+PRESETS = {"default": ("#0072B2", "o"), "out_of_box": ("#D55E00", "x")}
+RATIOS = (1e-3, 1e3)
+"""Smallest and largest error over tolerance of the picture."""
 SCRIPT = f"scripts/{Path(__file__).name}"
 
 USES = {
@@ -76,3 +85,47 @@ def _verdict(use: str, column: EngineColumn) -> str:
         return f"✗ {', '.join(failed)}" if failed else "-"
     left = len(needed) - len(passed)
     return f"✓, without {left} of {len(needed)}" if left else "✓"
+
+
+def draw() -> None:
+    """Draw the error over the tolerance of the worst check of each use, for each engine and its main presets."""
+    columns = read_columns(RESULTS)
+    engines = list(dict.fromkeys(column.backend for column in columns))
+    figure = Figure(figsize=(11.0, 5.6), layout="constrained")
+    grid = figure.subplots(2, 5, sharex=True, sharey=True)
+    for axes, use in zip(grid.flat, USES, strict=True):
+        for column in columns:
+            _draw_worst(axes, use, column, engines.index(column.backend))
+        axes.axvspan(1.0, 2.0 * RATIOS[1], color="#FFF1E6", zorder=0)
+        axes.axvline(1.0, color="black", linewidth=1.0)
+        axes.set(xscale="log", xlim=(0.5 * RATIOS[0], 2.0 * RATIOS[1]), title=use)
+        axes.title.set_fontsize(10)
+    grid[0, 0].set_yticks(range(len(engines)), engines)
+    grid[0, 0].invert_yaxis()
+    figure.supxlabel(
+        "error over tolerance of the worst check; right of the line: failed",
+        fontsize=10,
+    )
+    figure.suptitle(
+        "Dots: settings of this package. Crosses: the engine's own defaults.",
+        fontsize=11,
+    )
+    figure.savefig(PICTURE, dpi=90)
+
+
+def _draw_worst(axes: Axes, use: str, column: EngineColumn, row: int) -> None:
+    """Draw the worst check that ran, within the limits of the picture; an error is the largest one."""
+    needed = {check.id for pattern in USES[use] for check in checks([pattern])}
+    ran = [column.results[name] for name in needed & column.results.keys()]
+    ratios = [_ratio(r) for r in ran if r.is_bad or r.status is Status.PASS]
+    colour, marker = PRESETS[column.name]
+    if ratios:
+        axes.plot(np.clip(max(ratios), *RATIOS), row, marker, color=colour)
+
+
+def _ratio(result: CheckResult) -> float:
+    """Return the error over the tolerance; a limit of the picture where a check has no number or no tolerance."""
+    measured, expected = result.measured, result.expected
+    if not result.width or measured is None or expected is None or np.isnan(measured):
+        return RATIOS[result.is_bad]
+    return abs(measured - expected) / result.width

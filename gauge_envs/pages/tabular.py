@@ -5,7 +5,7 @@ import io
 from collections.abc import Sequence
 
 from gauge_envs.pages.document import Document, Shown, document_of
-from gauge_envs.pages.table import Column, Table
+from gauge_envs.pages.table import Column, Place, Table
 
 LATEX_ESCAPES = str.maketrans(
     {
@@ -23,7 +23,7 @@ def as_csv(shown: Shown) -> str:
 
 
 def as_latex(shown: Shown) -> str:
-    """Return the tables of a document as `tabular` environments, with an empty line between them."""
+    """Return the tables of a document as `tabular` environments after their notes, which are comments of LaTeX."""
     return "\n".join(map(_latex, _tables(document_of(shown))))
 
 
@@ -49,6 +49,7 @@ def _latex(table: Table) -> str:
     labels, *cells = map(_latex_row, _texts(table))
     alignment = "".join(map(_alignment, table.columns))
     lines = [
+        *(f"% {note}" for note in table.notes),
         rf"\begin{{tabular}}{{{alignment}}}",
         r"\hline",
         labels,
@@ -66,4 +67,7 @@ def _latex_row(cells: Sequence[str]) -> str:
 
 
 def _alignment(column: Column) -> str:
+    """Return the alignment of a column; a long heading wraps."""
+    if column.place is Place.HEADING:
+        return "p{3cm}"
     return "r" if column.is_number else "l"

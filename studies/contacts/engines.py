@@ -1,15 +1,12 @@
-"""Measure contacts of each engine with its two main presets; write a table and draw a picture.
+"""Measure contacts of each engine with its two main presets; write a table.
 
     python -m studies.contacts.engines mujoco newton physx pybullet rapier > studies/contacts/engines.csv
-    python -m studies.contacts.engines --draw
 
 Bodies of 0.5 kg with friction 0.4 and restitution 0.6; the scenes are those of `gauge recipe`.
 """
 
-import csv
 import sys
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,15 +18,6 @@ from gauge_envs.scene import Scene
 from gauge_envs.tools.recipes import Probe
 
 MASS_KG, FRICTION, RESTITUTION = 0.5, 0.4, 0.6
-TABLE = Path(__file__).with_suffix(".csv")
-PICTURE = Path(__file__).parents[2] / "docs" / "images" / "contacts.webp"
-COLUMNS = {
-    "steep": ("friction of an impact at 27 degrees, over Coulomb's", 1.0),
-    "grazing": ("friction of a grazing impact, over Coulomb's", 1.0),
-    "rebound": ("rebound", RESTITUTION),
-    "creep_mm_s": ("creep at half of the limit [mm/s]", 0.0),
-    "hop_mm": ("hop at 4 m/s [mm]", 0.0),
-}
 
 
 @dataclass(frozen=True)
@@ -98,30 +86,8 @@ def measured(engine: str, preset: str) -> dict[str, str]:
     return row | {name: f"{round(value, 6) + 0.0:.3g}" for name, value in found.items()}
 
 
-def draw() -> None:
-    """Draw the columns of the table beside their laws."""
-    import matplotlib.pyplot as plt
-
-    rows = list(csv.DictReader(TABLE.read_text().splitlines()))
-    figure, axes = plt.subplots(1, len(COLUMNS), sharey=True, figsize=(12, 4.2))
-    labels = [f"{row['engine']}, {row['preset']}" for row in rows]
-    for axis, (name, (title, law)) in zip(axes, COLUMNS.items(), strict=True):
-        values = np.array([float(row[name] or "nan") for row in rows])
-        own = np.array([row["preset"] == "out_of_box" for row in rows])
-        axis.barh(labels, values, color=np.where(own, "tab:orange", "tab:blue"))
-        axis.axvline(law, color="black", linewidth=1.0)
-        axis.set_title(title.replace(", ", ",\n").replace(" [", "\n["), fontsize=9)
-        if name.endswith(("mm", "mm_s")):
-            axis.set_xscale("symlog", linthresh=0.01)
-    axes[0].invert_yaxis()
-    figure.tight_layout()
-    figure.savefig(PICTURE, dpi=80)
-
-
 if __name__ == "__main__":
-    if sys.argv[1] == "--draw":
-        draw()
-    for engine in sys.argv[1:] if sys.argv[1] != "--draw" else ():
+    for engine in sys.argv[1:]:
         for preset in ("default", "out_of_box"):
             row = measured(engine, preset)
             if engine == sys.argv[1] and preset == "default":

@@ -29,7 +29,7 @@ COLUMNS = (
 def reason(score: Score) -> str:
     """Return what decides whether a motion is like reality: an event, or the distance from real trials."""
     if score.like_reality is None:
-        return "nothing real is known"
+        return ""
     if score.real_limit is None:
         return motion_text(score) or ""
     distance, limit = score_text(score.distance), digits_text(score.real_limit)

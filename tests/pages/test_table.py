@@ -102,7 +102,8 @@ def test_a_paper_has_the_same_cells_in_csv_and_latex():
         TABLE, rows=[{"id": r"50 % & \x_{1}", "grade": "none", "note": "a~b^c"}]
     )
     assert as_latex(marks).splitlines() == [
-        r"\begin{tabular}{llrrl}",
+        "% In millimetres.",
+        r"\begin{tabular}{p{3cm}p{3cm}rrl}",
         r"\hline",
         r"experiment & grade & first [mm] & second & note \\",
         r"\hline",

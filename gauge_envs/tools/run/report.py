@@ -96,7 +96,7 @@ def _count_text(answers: Sequence[Answer | None], words: str) -> str:
     """Return how many answers are yes, as `1 of 4 are like reality`, and how many cannot be told."""
     known = [answer for answer in answers if answer is not None]
     if not known:
-        return f"none can be asked whether they {words}"
+        return f"no data says whether they {words}"
     text = f"{known.count(Answer.YES)} of {len(known)} {words}"
     if unknown := known.count(Answer.CANNOT_TELL):
         text += f" ({unknown} cannot be told)"
@@ -151,7 +151,7 @@ def _row(result: Result) -> dict[str, Any]:
         "trials": _trials_distance(score),
         "exact": _exact_distance(score),
         "solves": score.solves or "no solution",
-        "like_reality": score.like_reality or "nothing real",
+        "like_reality": score.like_reality or "no real data",
     }
 
 

@@ -96,7 +96,7 @@ def video_score(
 ) -> bool:
     """Follow the object in videos, fit the law of the task, and report its metrics.
 
-    Metrics have 95 % intervals. Exit code 1: a track is not sound.
+    Metrics have 95 % intervals. Exit code 1: a track is rejected.
     """
     has_failed = False
     for file in files:

@@ -151,7 +151,7 @@ def test_the_summary_gives_reasons_for_rejected_and_diverged_results():
     diverged = result(NONE, diverged=True, outcome=Outcome.DIVERGED)
     text = shown([refused, diverged])
     assert reason in text
-    assert "nothing real" in text
+    assert "no real data" in text
     # The first line does not leave out what diverged.
     assert text.startswith("1 of 2 diverged; ")
     assert "diverged" in text

@@ -236,9 +236,9 @@ def test_the_command_scores_a_file_and_draws_the_track(tmp_path, gauge):
         assert value == pytest.approx(line["metrics"]["acceleration_m_s2"], rel=1e-3)
     # The object of another task starts at another place.
     rejected = gauge("video", "score", saved, "--id", BALL.id)
-    assert rejected.exit_code == 1 and "the track is not sound" in rejected.stdout
+    assert rejected.exit_code == 1 and "the track is rejected" in rejected.stdout
     text = gauge("video", "score", saved, "--id", film.task).stdout
-    assert "the track is sound" in text and "sound tracks were wrong" in text
+    assert "the track is accepted" in text and "accepted tracks were wrong" in text
 
 
 def test_the_report_shows_every_model_and_names_broken_files(tmp_path, gauge):
