@@ -42,9 +42,9 @@ def experiments_of(names: list[str]) -> str:
 
 
 def answers_table() -> str:
-    """Return the answers of MuJoCo to ids with real values, as `studies/solutions/answers.py` stored them."""
+    """Return the answers of MuJoCo to each id, as `studies/solutions/answers.py` stored them."""
     with ANSWERS.open(encoding="utf-8", newline="") as stream:
-        rows = [list(r.values()) for r in csv.DictReader(stream) if r["because"]]
+        rows = [list(row.values()) for row in csv.DictReader(stream)]
     head = ("id", "solves", "distance", "motion", "unit", "like reality", "because")
     return "\n".join(markdown_table(head, rows))
 

@@ -144,9 +144,14 @@ def tables() -> str:
                 by_pair[pair].add(check.id)
         for call in engine.calls:
             by_call[call].add(check.id)
+    partners = [
+        f"{motion} {shape}"
+        for motion in ("fixed", "driven", "dynamic", "hinged")
+        for shape in (*(["Plane"] if motion == "fixed" else []), *SHAPES)
+    ]
     pair_rows = [
         [partner, *(_cell(by_pair[shape, partner]) for shape in SHAPES)]
-        for partner in sorted({partner for _, partner in by_pair})
+        for partner in partners
     ]
     call_rows = [
         [call, *(_cell(by_call[call, shape]) for shape in SHAPES)] for call in CALLS
