@@ -43,10 +43,10 @@ def reference(
         ),
     ] = None,
 ) -> None:
-    """Solve a scene at refined steps and cells, and write the solution with its uncertainty as its reference.
+    """Solve a scene at refined steps and cells, and write the solution as its reference.
 
-    The runs have the step, its half and its quarter, then half the cells. `gauge run` and `gauge compare` score against
-    a reference beside the task file.
+    The runs have the step, its half and its quarter, then half the cells; their differences give the standard
+    uncertainty. `gauge run` and `gauge compare` score against a reference beside the task file.
     """
     from gauge_envs.runs.request import RunRequest
     from gauge_envs.tools.reference import solution as solving
@@ -58,30 +58,31 @@ def reference(
     file = _file(experiment.variant, out)
     coarse = solving.finished(request)
     finer = solving.finer_settings(coarse, experiment.scene)
-    requests = [replace(request, settings=values) for values in finer]
     message(_plan(coarse, finer, solving.minutes(coarse, experiment.scene, finer)))
-    other = None
+    requests = [replace(request, settings=values) for values in finer]
     if against:
-        second = replace(request, backend=against, settings=None)
-        other = solving.motion(solving.finished(second))
-    done = [coarse]
+        requests.insert(0, replace(request, backend=against, settings=None))
+    results = []
     with Progress("runs", len(requests)) as progress:
         for each in requests:
-            done.append(solving.finished(each))
-            progress.advance(_refined(done[-1].settings))
-    width = len(experiment.coordinates)
-    solved = solving.solution([*map(solving.motion, done)], width, other)
-    left_out = _left_out(
-        has_cells=bool(experiment.scene.deformables) and len(finer) < 3, against=against
-    )
-    version = done[-1].versions.get(backend, "")
-    source = f"{backend} {version} with {_refined(done[-1].settings)}"
-    source += f", compared with {against}" if against else ""
-    source += f"; {left_out}"
+            results.append(solving.finished(each))
+            progress.advance(_refined(results[-1].settings))
+    other = solving.motion(results.pop(0)) if against else None
+    motions = [solving.motion(result) for result in (coarse, *results)]
+    solved = solving.solution(motions, len(experiment.coordinates), other)
+    has_cells = bool(experiment.scene.deformables) and len(finer) < 3
+    left_out = _left_out(has_cells=has_cells, against=against)
+    source = f"{_origin(results[-1], against)}; {left_out}"
     solving.write_solution(file, experiment, solved, source)
-    unit = "mm" if solved.mean.shape[1] > width else experiment.score.observable.unit
-    echo(_summary(solved, unit))
+    echo(_summary(solved, experiment.score.observable.unit))
     echo(f"{left_out}\n{file}")
+
+
+def _origin(finest: Result, against: str | None) -> str:
+    """Return the engine, the step and the cells of the finest run, and the second engine, if any."""
+    engine = f"{finest.backend} {finest.versions.get(finest.backend or '', '')}"
+    compared = f", compared with {against}" if against else ""
+    return f"{engine} with {_refined(finest.settings)}{compared}"
 
 
 def _file(variant: Variant, out: Path | None) -> Path:
@@ -110,8 +111,9 @@ def _file(variant: Variant, out: Path | None) -> Path:
 
 
 def _refined(settings: Mapping[str, Any]) -> str:
-    """Return the step and the cells of a run, as `timestep_s=1/9000`."""
-    text = f"timestep_s=1/{1.0 / settings['timestep_s']:.6g}"
+    """Return the step and the cells of a run, as `timestep_s=1/9000`; another engine may have no step."""
+    step_s = settings.get("timestep_s")
+    text = f"timestep_s=1/{1.0 / step_s:.6g}" if step_s else "its own step"
     cell_m = settings.get("cell_m")
     return f"{text},cell_m={cell_m:.4g}" if cell_m else text
 
@@ -126,12 +128,18 @@ def _plan(coarse: Result, finer: Sequence[Mapping[str, Any]], minutes: float) ->
 
 
 def _summary(solved: Solution, unit: str) -> str:
-    """Return the uncertainty, its share of the motion, and the order of convergence."""
-    share = f", {solved.u / solved.moved:.2%} of the motion" if solved.moved else ""
+    """Return the uncertainty, its share of the motion, and the order of convergence.
+
+    Args:
+        solved: The solution.
+        unit: Unit of g(t); with markers, the uncertainty is in mm.
+    """
+    unit = "mm" if solved.mean.shape[1] > solved.width else unit
+    share = f", {100 * solved.u / solved.moved:.2g} %" if solved.moved else ""
     order = f"order {solved.order:.2f} in the step"
     if not solved.converges:
         order = f"the step does not converge: u assumes the order {solved.order:.2g}"
-    return f"u = {solved.u:.3g} {unit}{share} of {solved.moved:.4g} {unit}; {order}"
+    return f"u = {solved.u:.3g} {unit}{share} of the motion of {solved.moved:.4g} {unit}; {order}"
 
 
 def _left_out(*, has_cells: bool, against: str | None) -> str:

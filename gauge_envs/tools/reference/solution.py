@@ -17,7 +17,7 @@ import numpy as np
 
 from gauge_envs.errors import BackendError, ParameterError
 from gauge_envs.experiments.experiment import Experiment
-from gauge_envs.files import write_whole
+from gauge_envs.pages.document import save_file
 from gauge_envs.references.band import MARKER_SIGMA_MM, read_band_file
 from gauge_envs.references.kind import Kind
 from gauge_envs.runs.episodes import run_episode
@@ -192,6 +192,5 @@ def write_solution(
     }
     lines = [f"{key} = {json.dumps(value)}\n" for key, value in facts.items()]
     events = "".join(old.partition("\n[[events]]")[1:])
-    file.parent.mkdir(parents=True, exist_ok=True)
-    write_whole(file.with_suffix(".npz"), stream.getvalue())
-    write_whole(file, ("".join(lines) + events).encode())
+    save_file(file.with_suffix(".npz"), stream.getvalue())
+    save_file(file, "".join(lines) + events)
