@@ -9,7 +9,8 @@ from places import ROOT
 from texts import changed_text
 
 from gauge_envs import load_experiment, reference_band
-from gauge_envs.references.band import read_band_file
+from gauge_envs.experiments.variants import task_path
+from gauge_envs.references.band import load_band, read_band_file
 from gauge_envs.runs.episodes import run_episode
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.tools.reference.solution import length, solution, write_solution
@@ -136,3 +137,23 @@ def test_order_mesh_and_second_engine_make_u():
     assert still.u == 0.0
     assert still.converges
     assert length(np.ones((4, 1 + 6)), 1) == pytest.approx(np.sqrt(3.0))
+
+
+@pytest.mark.slow
+def test_the_cells_of_an_own_strip_are_refined_and_u_covers_the_elastica(
+    tmp_path, gauge, monkeypatch
+):
+    text = task_path("StripBending").read_text(encoding="utf-8")
+    file = tmp_path / "strip.toml"
+    file.write_text(text.replace('"StripBending"', '"OwnStrip"'), encoding="utf-8")
+    monkeypatch.setenv("GAUGE_TASKS", str(file))
+    done = gauge("reference", "OwnStrip-satin")
+    assert not done.exit_code, done.stderr
+    assert "cell_m=" in done.stderr
+    assert "the cells (" not in done.stdout
+    band, exact = map(load_band, ("OwnStrip-satin", "StripBending-satin"))
+    apart_mm = exact.length(band.mean - exact.mean)
+    assert (
+        apart_mm <= 1.96 * band.standard_uncertainty < 0.02 * exact.zero_motion_distance
+    )
+    gym.registry.pop("GAUGE/OwnStrip-satin", None)
