@@ -156,4 +156,6 @@ def test_the_cells_of_an_own_strip_are_refined_and_u_covers_the_elastica(
     assert (
         apart_mm <= 1.96 * band.standard_uncertainty < 0.02 * exact.zero_motion_distance
     )
+    assert not gauge("run", "OwnStrip-satin").exit_code
+    assert "not ranked" not in gauge("compare", "results").stdout
     gym.registry.pop("GAUGE/OwnStrip-satin", None)
