@@ -26,7 +26,7 @@ from gauge_envs.references.band import Band
 from gauge_envs.references.kind import Kind
 from gauge_envs.references.published import Baseline, published_baselines
 from gauge_envs.runs.configuration import RunConfiguration, group_by_configuration
-from gauge_envs.runs.result import Outcome, Result
+from gauge_envs.runs.result import MARKER_DECIMALS, Outcome, Result
 from gauge_envs.runs.result_file import recorded_experiment
 from gauge_envs.scoring.answers import Answer, normalizing_baselines
 from gauge_envs.scoring.reference import reference_band
@@ -343,18 +343,21 @@ def _deviations(results: Sequence[Result], notes: list[str]) -> Deviations | Non
         if band is None:
             return None
         reference = choose_reference(results, band)
+        scale = _scale(experiment, band, results[0].score.primary)
         deviations = Deviations.of(
             band,
             [reference.deviation(result) for result in results],
             [result.seed for result in results],
-            scale=_scale(experiment, band, results[0].score.primary),
+            scale=scale,
             is_aligned=results[0].score.primary == ALIGNED.key,
         )
     except GaugeError as error:
         notes.append(f"{unranked} result cannot be scored again: {error}")
         return None
     stored = np.array(scores, dtype=np.float64)
-    if np.allclose(deviations.scores, stored, rtol=1e-6, atol=1e-9):
+    # Files have rounded positions of markers.
+    rounding = 10.0**-MARKER_DECIMALS / scale if band.points else 1e-9
+    if np.allclose(deviations.scores, stored, rtol=1e-6, atol=rounding):
         return deviations
     notes.append(
         f"{unranked} score belongs to another reference or motion; run it again"

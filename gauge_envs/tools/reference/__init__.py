@@ -1,0 +1,1 @@
+"""`gauge reference`: the refined solution of a scene, with its uncertainty."""
