@@ -70,8 +70,7 @@ def reference(
     other = solving.motion(results.pop(0)) if against else None
     motions = [solving.motion(result) for result in (coarse, *results)]
     solved = solving.solution(motions, len(experiment.coordinates), other)
-    has_cells = bool(experiment.scene.deformables) and len(finer) < 3
-    left_out = _left_out(has_cells=has_cells, against=against)
+    left_out = _left_out(against)
     source = f"{_origin(results[-1], against)}; {left_out}"
     solving.write_solution(file, experiment, solved, source)
     echo(_summary(solved, experiment.score.observable.unit))
@@ -142,15 +141,9 @@ def _summary(solved: Solution, unit: str) -> str:
     return f"u = {solved.u:.3g} {unit}{share} of the motion of {solved.moved:.4g} {unit}; {order}"
 
 
-def _left_out(*, has_cells: bool, against: str | None) -> str:
-    """Return what the uncertainty leaves out.
-
-    Args:
-        has_cells: Whether there are cells that were not refined.
-        against: The second engine, if any.
-    """
-    parts = ["the cells (--set cell_m=...)"] if has_cells else []
-    parts += [] if against else ["a second engine (--against)"]
+def _left_out(against: str | None) -> str:
+    """Return what the uncertainty leaves out, with or without a second engine."""
+    parts = [] if against else ["a second engine (--against)"]
     return (
         f"u leaves out: {', '.join([*parts, 'softness and tolerance of the solver'])}"
     )

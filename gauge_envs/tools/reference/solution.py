@@ -117,7 +117,13 @@ def finer_settings(coarse: Result, scene: Scene) -> list[dict[str, Any]]:
         )
     given = coarse.settings_given
     finer = [given | {"timestep_s": step_s / parts} for parts in (2, 4)]
-    if scene.deformables and cell_m:
+    if scene.deformables:
+        if not cell_m:
+            names = ", ".join(body.name for body in scene.deformables)
+            raise ParameterError(
+                f"{coarse.id}: the preset chooses the cells of {names}, so they cannot be halved: give their edge in "
+                "metres by --set cell_m=..."
+            )
         finer.append(finer[-1] | {"cell_m": cell_m / 2})
     return finer
 
