@@ -111,7 +111,7 @@ class WorldsEnv(GuardedEnv, VectorEnv[Any, Any, NDArray[Any]], ABC):
 
     @abstractmethod
     def _info(self, world: int) -> dict[str, Any]:
-        """Return the `info` of a world without frame and time; its values are hashable."""
+        """Return the `info` of a world without frame and time."""
 
     # --- episodes ---
 
@@ -274,15 +274,8 @@ class WorldsEnv(GuardedEnv, VectorEnv[Any, Any, NDArray[Any]], ABC):
     def _entries_of(self, worlds: BoolArray) -> dict[str, Any]:
         """Return the infos of some worlds without frame and time."""
         infos: dict[str, Any] = {}
-        # Nearly all worlds have the same entries.
-        same: dict[tuple[tuple[str, Any], ...], list[int]] = {}
         for world in np.flatnonzero(worlds).tolist():
-            same.setdefault(tuple(self._info(world).items()), []).append(world)
-        for entries, members in same.items():
-            infos = self._add_info(infos, dict(entries), members[0])
-            for key, value in entries:
-                infos[key][members] = value
-                infos[f"_{key}"][members] = True
+            infos = self._add_info(infos, self._info(world), world)
         return infos
 
     @one_thread
