@@ -214,17 +214,15 @@ class WorldsEnv(GuardedEnv, VectorEnv[Any, Any, NDArray[Any]], ABC):
             self._entries = None
             if self.on_end is not None:
                 infos = self.on_end(self._over)
-        if self._mode is AutoresetMode.SAME_STEP:
-            infos |= self._final(self._over, infos)
-            ended = self._over.copy()
+            if self._mode is AutoresetMode.SAME_STEP:
+                infos |= self._final(self._over, infos)
+                ended = self._over.copy()
         self._restart(ended)
         infos |= self._infos(np.ones(self.num_envs, dtype=np.bool_))
         return self._observations(), rewards, terminated, truncated, infos
 
     def _final(self, over: BoolArray, ending: dict[str, Any]) -> dict[str, Any]:
         """Return the last observations and infos of worlds that restart in this step, with entries of their end."""
-        if not over.any():
-            return {}
         observations = np.full(self.num_envs, None, dtype=object)
         batch = [*iterate(self.observation_space, self._observations())]
         for world in np.flatnonzero(over).tolist():
