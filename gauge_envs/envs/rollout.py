@@ -249,11 +249,11 @@ class Rollout:
         self.terminated[worlds] = False
         self._recorder.start(worlds)
 
-    def step(self, actions: FloatArray) -> None:
+    def step(self, actions: FloatArray | None = None) -> None:
         """Simulate one frame of all worlds.
 
         Args:
-            actions: Actions from -1 to 1, shape [N, motion_count].
+            actions: Actions from -1 to 1, shape [N, motion_count]; None is no action.
         """
         for _ in self.substeps(actions):
             pass
@@ -285,8 +285,7 @@ class Rollout:
     def play(self) -> None:
         """Simulate all episodes to their end without actions."""
         while not self.is_over.all():
-            for _ in self.substeps():
-                pass
+            self.step()
 
     def divergences(self, states: FloatArray | None = None) -> dict[int, str]:
         """Return the reason of each world that has diverged by now, the engine's reason first.

@@ -85,6 +85,7 @@ class WorldsEnv(GuardedEnv, VectorEnv[Any, Any, NDArray[Any]], ABC):
         self.metadata = {**type(self).metadata, "autoreset_mode": self._mode}
         self.num_envs = num_envs
         self._over = np.zeros(num_envs, dtype=np.bool_)
+        self._entries: dict[str, Any] | None = None
         self._randoms: list[np.random.Generator] = []
 
     def _set_spaces(
@@ -110,7 +111,7 @@ class WorldsEnv(GuardedEnv, VectorEnv[Any, Any, NDArray[Any]], ABC):
 
     @abstractmethod
     def _info(self, world: int) -> dict[str, Any]:
-        """Return the `info` of a world without frame and time; its values are hashable."""
+        """Return the `info` of a world without frame and time."""
 
     # --- episodes ---
 
@@ -150,6 +151,7 @@ class WorldsEnv(GuardedEnv, VectorEnv[Any, Any, NDArray[Any]], ABC):
     def _begin(self, worlds: BoolArray, given: list[int | None], draw: Draw) -> None:
         self._start(worlds, given, draw)
         self._over[worlds] = False
+        self._entries = None
 
     def _restart(self, worlds: BoolArray) -> None:
         """Start the next episode of worlds, as a reset without seed and options."""
@@ -208,19 +210,19 @@ class WorldsEnv(GuardedEnv, VectorEnv[Any, Any, NDArray[Any]], ABC):
             rewards[ended], terminated[ended], truncated[ended] = 0.0, False, False
         self._over = terminated | truncated
         infos: dict[str, Any] = {}
-        if self._over.any() and self.on_end is not None:
-            infos = self.on_end(self._over)
-        if self._mode is AutoresetMode.SAME_STEP:
-            infos |= self._final(self._over, infos)
-            ended = self._over.copy()
+        if self._over.any():
+            self._entries = None
+            if self.on_end is not None:
+                infos = self.on_end(self._over)
+            if self._mode is AutoresetMode.SAME_STEP:
+                infos |= self._final(self._over, infos)
+                ended = self._over.copy()
         self._restart(ended)
         infos |= self._infos(np.ones(self.num_envs, dtype=np.bool_))
         return self._observations(), rewards, terminated, truncated, infos
 
     def _final(self, over: BoolArray, ending: dict[str, Any]) -> dict[str, Any]:
         """Return the last observations and infos of worlds that restart in this step, with entries of their end."""
-        if not over.any():
-            return {}
         observations = np.full(self.num_envs, None, dtype=object)
         batch = [*iterate(self.observation_space, self._observations())]
         for world in np.flatnonzero(over).tolist():
@@ -260,15 +262,18 @@ class WorldsEnv(GuardedEnv, VectorEnv[Any, Any, NDArray[Any]], ABC):
             "_frame": worlds.copy(),
             "_time_s": worlds.copy(),
         }
-        # Nearly all worlds have the same entries.
-        same: dict[tuple[tuple[str, Any], ...], list[int]] = {}
+        if not worlds.all():
+            return infos | self._entries_of(worlds)
+        # Only a start and an end change entries.
+        if self._entries is None:
+            self._entries = self._entries_of(worlds)
+        return infos | {key: rows.copy() for key, rows in self._entries.items()}
+
+    def _entries_of(self, worlds: BoolArray) -> dict[str, Any]:
+        """Return the infos of some worlds without frame and time."""
+        infos: dict[str, Any] = {}
         for world in np.flatnonzero(worlds).tolist():
-            same.setdefault(tuple(self._info(world).items()), []).append(world)
-        for entries, members in same.items():
-            infos = self._add_info(infos, dict(entries), members[0])
-            for key, value in entries:
-                infos[key][members] = value
-                infos[f"_{key}"][members] = True
+            infos = self._add_info(infos, self._info(world), world)
         return infos
 
     @one_thread

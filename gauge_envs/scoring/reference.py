@@ -10,7 +10,7 @@ import numpy as np
 from gauge_envs.errors import ReferenceFileError
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.resolve import load_experiment, shots_of, with_trial
-from gauge_envs.references.band import Band, band_file, load_band
+from gauge_envs.references.band import Band, band_file, load_band, read_band_file
 from gauge_envs.references.kind import Kind
 from gauge_envs.references.single_shot import single_shots
 from gauge_envs.references.tables import scoring_folder
@@ -210,5 +210,5 @@ def reference_kind(variant: str, source: DataSource = DataSource.BUNDLED) -> Kin
     """Return the kind of the reference of a variant."""
     if single_shots(variant) is not None:
         return Kind.TRIALS
-    band = load_band(variant, source)
-    return Kind.NONE if band is None else band.kind
+    file = band_file(variant, source)
+    return Kind.NONE if file is None else Kind(read_band_file(file).kind)

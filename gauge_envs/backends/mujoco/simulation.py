@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from functools import partial
-from itertools import repeat
+from itertools import compress
 from typing import Any
 
 import mujoco
@@ -114,7 +114,7 @@ class SimulationMuJoCo(PlacedSimulation):
         self._thread_count = min(processor_count(), world_count)
         self._threads = None
         if self._thread_count > 1:
-            self._threads = ThreadPoolExecutor(self._thread_count)
+            self._threads = ThreadPoolExecutor(self._thread_count - 1)
         self.reset()
 
     def _fold_watch(self) -> FoldWatch | None:
@@ -198,10 +198,14 @@ class SimulationMuJoCo(PlacedSimulation):
         self._options.disableflags = flags
 
     def _step_all(self, count: int) -> None:
-        """Step all worlds in threads."""
-        apply = map if self._threads is None else self._threads.map
-        # One call per thread. Reading the results of the map raises the errors of its calls.
-        list(apply(self._step_worlds, range(self._thread_count), repeat(count)))
+        """Step all worlds in threads, of which this thread is the first."""
+        steps: list[Future[None]] = []
+        if self._threads is not None:
+            others = range(1, self._thread_count)
+            steps = [self._threads.submit(self._step_worlds, n, count) for n in others]
+        self._step_worlds(0, count)
+        for step in steps:
+            step.result()
 
     def _step_worlds(self, thread: int, count: int) -> None:
         """Step the worlds of a thread."""
@@ -226,15 +230,12 @@ class SimulationMuJoCo(PlacedSimulation):
 
     def diverged(self) -> Mapping[int, str]:
         """Return the worlds whose state MuJoCo reset since the last call of `reset`."""
-        reasons = {}
-        for world, counts in enumerate(self._warnings):
-            for warning, quantity in BAD_STATES.items():
-                if counts[warning]:
-                    reasons[world] = (
-                        f"MuJoCo found a {quantity} that is huge or not finite, and reset the state"
-                    )
-                    break
-        return reasons
+        is_bad = np.array(self._warnings)[:, [*map(int, BAD_STATES)]] > 0
+        return {
+            world: f"MuJoCo found a {next(compress(BAD_STATES.values(), is_bad[world]))} that is huge or not finite, "
+            "and reset the state"
+            for world in np.flatnonzero(is_bad.any(axis=1)).tolist()
+        }
 
     def moving_states(self, names: Sequence[str]) -> FloatArray:
         """Return the states of dynamic and driven bodies, shape [N, len(names), 13]."""

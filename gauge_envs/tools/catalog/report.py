@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from gauge_envs.envs.arguments import EnvArguments
-from gauge_envs.experiments.resolve import load_experiment
+from gauge_envs.experiments.task_files import task_spec
 from gauge_envs.pages.document import (
     Bullets,
     Document,
@@ -68,14 +68,12 @@ SECTIONS = {
 def family_table(rows: Sequence[Mapping[str, Any]]) -> Table:
     """Return one row for each family in the result of `list_rows`: ids by kind of reference, and what it evaluates."""
     kinds: dict[str, Counter[str]] = {}
-    evaluated = {}
     for row in rows:
         kinds.setdefault(row["family"], Counter())[row["kind"]] += 1
-        evaluated[row["family"]] = load_experiment(row["id"]).spec.evaluates
     cells = []
     for family, counts in kinds.items():
         kinds_text = ", ".join(f"{count} {kind}" for kind, count in counts.items())
-        cells.append((family, kinds_text, ", ".join(evaluated[family])))
+        cells.append((family, kinds_text, ", ".join(task_spec(family).evaluates)))
     return grid(("family", "ids by kind of reference", "evaluates"), cells)
 
 
