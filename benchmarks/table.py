@@ -7,8 +7,8 @@ matter little. Times of threads are wall times and need an idle machine; a busy 
 
 Limits with a reason:
 
-- steps in training: MuJoCo takes 20 to 900 us for a frame there, as long as 60 calls of NumPy. A single world of a
-  control task takes longer than MuJoCo, because its arrays are those of many worlds.
+- steps in training: MuJoCo takes 20 to 900 us for a frame there, as long as 60 calls of NumPy. In a single
+  world of a control task, these calls take longer than MuJoCo.
 - dynamic time warping: dtaidistance is a loop in C. Here it is NumPy.
 """
 
