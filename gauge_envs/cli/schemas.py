@@ -156,7 +156,10 @@ def _of_parts(origin: Any, parts: tuple[Any, ...]) -> Schema:
 def _object(cls: Any, form: Form) -> Schema:
     """Return the schema of a class, with descriptions from its docstring."""
     hints = get_type_hints(cls, include_extras=True)
-    names = [field.name for field in fields(cls)] if is_dataclass(cls) else [*hints]
+    names = [*hints]
+    if is_dataclass(cls):
+        # A field outside of comparisons is not in a file.
+        names = [field.name for field in fields(cls) if field.compare]
     described = descriptions(cls)
     properties: dict[str, Schema] = {}
     for name in names:

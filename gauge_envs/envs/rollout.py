@@ -6,7 +6,7 @@ rollout with their own motions and recording; engine checks and sanity checks us
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from typing import Any, Protocol
 
@@ -282,10 +282,15 @@ class Rollout:
                 self.diverged[world] = reason
                 self.terminated[world] = True
 
-    def play(self) -> None:
-        """Simulate all episodes to their end without actions."""
+    def play(self, observe: Callable[[int], None] = lambda _: None) -> None:
+        """Simulate all episodes to their end without actions.
+
+        Args:
+            observe: Receives the number of each interval of a frame after it.
+        """
         while not self.is_over.all():
-            self.step()
+            for sample in self.substeps():
+                observe(sample)
 
     def divergences(self, states: FloatArray | None = None) -> dict[int, str]:
         """Return the reason of each world that has diverged by now, the engine's reason first.

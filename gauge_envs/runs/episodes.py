@@ -20,6 +20,7 @@ from gauge_envs.files import json_ready
 from gauge_envs.processors import processor_name
 from gauge_envs.references.kind import Kind
 from gauge_envs.registry import package_versions
+from gauge_envs.runs.motion import play_recorded
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result import Outcome, RecordedTrajectory, Result
 from gauge_envs.runs.result_file import result_of
@@ -62,7 +63,7 @@ def run_episodes(request: RunRequest) -> list[Result]:
         wall_s, cpu_s = time.perf_counter(), time.process_time()
         rollout.reset(initial_states, request.seed)
         references.start()
-        rollout.play()
+        motion = play_recorded(rollout)
         wall_s = (time.perf_counter() - wall_s) / request.repeats
         cpu_s = (time.process_time() - cpu_s) / request.repeats
         results = []
@@ -78,6 +79,7 @@ def run_episodes(request: RunRequest) -> list[Result]:
                 versions_of_engine=versions,
             )
             results.append(replace(result, wall_s=wall_s, cpu_s=cpu_s))
+        results[0] = replace(results[0], motion=motion)
         return results
     finally:
         rollout.simulation.close()

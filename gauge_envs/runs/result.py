@@ -11,12 +11,13 @@ from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydantic import PlainValidator
+from pydantic import InstanceOf, PlainValidator
 
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.files import json_ready
 from gauge_envs.references.user_data import BUNDLED_DATA
 from gauge_envs.registry import package_versions
+from gauge_envs.runs.motion import Motion
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.scoring.metrics import FRAME_TOLERANCE_S
@@ -210,6 +211,7 @@ class Result:
         created: Time of creation, ISO 8601, UTC.
         error: Why the episode is unsupported or failed; None otherwise.
         trajectory: Its trajectory; None if it did not run.
+        motion: Its poses and nodes for 3D views, in a file of their own; None if they were not recorded or read.
     """
 
     id: str
@@ -241,6 +243,7 @@ class Result:
     )
     error: str | None = None
     trajectory: RecordedTrajectory | None = None
+    motion: InstanceOf[Motion] | None = field(default=None, compare=False, repr=False)
 
     @property
     def is_edited(self) -> bool:
@@ -255,13 +258,16 @@ class Result:
         return ""
 
     def to_dict(self, *, trajectory: bool = True) -> dict[str, Any]:
-        """Return a JSON-ready dictionary with every field.
+        """Return a JSON-ready dictionary with every field but `motion`.
 
         Args:
             trajectory: Whether to include the trajectory and the long parts of the asset.
         """
-        kept = self if trajectory else replace(self, trajectory=None)
+        kept = replace(self, motion=None)
+        if not trajectory:
+            kept = replace(kept, trajectory=None)
         values: dict[str, Any] = json_ready(asdict(kept))
+        del values["motion"]
         values["score"] = json_ready(self.score.to_dict())
         if not trajectory:
             del values["trajectory"]

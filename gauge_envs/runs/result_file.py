@@ -39,6 +39,7 @@ from gauge_envs.references.user_data import (
     DataSource,
     own_task_files,
 )
+from gauge_envs.runs.motion import motion_file, write_motion
 from gauge_envs.runs.result import Outcome, Result
 from gauge_envs.scene.diff import scene_changes
 from gauge_envs.scoring.user_file.trajectory_file import LARGEST
@@ -80,12 +81,14 @@ def _digest(values: Mapping[str, Any]) -> str:
 
 
 def write_result(result: Result, file: Path) -> None:
-    """Write a result file, whole or not at all."""
+    """Write a result file, whole or not at all, and the motion beside it."""
     text = json.dumps(result.to_dict(), allow_nan=False) + "\n"
     with os_errors(
         lambda cause: ResultFileError(f"{file}: cannot be written: {cause}")
     ):
         write_whole(file, text.encode())
+    if result.motion is not None:
+        write_motion(result.motion, motion_file(file))
 
 
 def load_result(file: Path) -> Result:
@@ -103,9 +106,9 @@ def parse_result(text: bytes) -> Result:
     content = json_document(text)
     if not isinstance(content, dict):
         raise ValueError(f"expected a JSON object, got a {type(content).__name__}")
-    for key in fields(Result):
-        if key.name not in content:
-            raise ValueError(f"no {key.name!r}")
+    for name in {key.name for key in fields(Result)} - {"motion"}:
+        if name not in content:
+            raise ValueError(f"no {name!r}")
     result = _result_adapter().validate_python(content)
     _check(result)
     _check_trajectory(result)

@@ -124,7 +124,7 @@ def test_a_diverged_episode_has_exit_code_1_and_its_reason(gauge, monkeypatch):
 
 def test_results_are_scored_again_and_plotted(gauge, tmp_path):
     gauge("run", NAME)
-    (file,) = (tmp_path / "results").iterdir()
+    (file,) = (tmp_path / "results").glob("*.json")
     (again,) = rows(gauge("score", file, "--json"))
     stored = json.loads(file.read_text())["score"]
     assert again["score"]["rmse_aligned"] == pytest.approx(
@@ -174,8 +174,8 @@ def test_ctrl_c_keeps_finished_episodes_and_resume_continues(
         stopped = gauge("run", "SlopeSlider-2-*", "--json")
     assert stopped.exit_code == 130
     assert "--resume" in stopped.stderr
-    assert len(list((tmp_path / "results").iterdir())) == len(rows(stopped)) == 2
-    damaged = next((tmp_path / "results").iterdir())
+    assert len(list((tmp_path / "results").glob("*.json"))) == len(rows(stopped)) == 2
+    damaged = next((tmp_path / "results").glob("*.json"))
     damaged.write_text("{")
     resumed = gauge("run", "SlopeSlider-2-*", "--json", "--resume")
     assert resumed.exit_code == 0

@@ -10,6 +10,7 @@ from gauge_envs.files import os_errors
 from gauge_envs.pages.document import Paragraph, Part, Tone, save_file
 from gauge_envs.pages.figures import color_of
 from gauge_envs.pages.html import Html, element, script_value, slug
+from gauge_envs.runs.motion import load_motion, motion_file
 from gauge_envs.runs.result import Result
 from gauge_envs.tools.compare import ExperimentComparison, compare
 from gauge_envs.tools.site.motion_view import motion_view_data
@@ -23,8 +24,8 @@ MARK_TEXT = "A site of `gauge report`. The next site in this folder replaces all
 ASSETS = Path(__file__).parent / "assets"
 
 HELP = (
-    "Drag to rotate; click and scroll to zoom; arrow keys move the slider by a frame. The poses come from a "
-    "repetition of the run with the same versions."
+    "Drag to rotate; click and scroll to zoom; arrow keys move the slider by a frame. The poses are "
+    "those of the first repetition."
 )
 
 
@@ -43,7 +44,7 @@ def save_site(
     Args:
         results: Result files and their contents, one or more.
         out: Folder of the site. It must be new, empty, or a site.
-        motion_views: Whether to run the episodes again for their poses; see `gauge_envs.tools.site.motion_view`.
+        motion_views: Whether to show the motions that `gauge run` stored beside the results.
         command: Command of the site, shown on its first page.
         progress: Receives the name of each experiment before its page is written.
 
@@ -115,7 +116,8 @@ def _save_motion_views(
             continue
         label = site.comparison.labels[index]
         try:
-            data = motion_view_data(ran[0])
+            motion = load_motion(motion_file(site.files[id(ran[0])]))
+            data = motion_view_data(ran[0], motion)
         except GaugeError as error:
             missing.append(f"{label} has no 3D view: {error}.")
             continue

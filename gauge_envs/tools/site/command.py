@@ -4,18 +4,15 @@ from __future__ import annotations
 
 import shlex
 import sys
-from collections.abc import Iterable
 from importlib import import_module
 from pathlib import Path
 from typing import Annotated
 
 from gauge_envs.cli import arguments
-from gauge_envs.cli.output import LINE_INTERVAL_S, Progress, echo, message, note
+from gauge_envs.cli.output import LINE_INTERVAL_S, Progress, echo, message
 from gauge_envs.cli.results import loaded_results
 from gauge_envs.optional import needs_extra
 from gauge_envs.pages.text import counted
-from gauge_envs.runs.configuration import group_by_configuration
-from gauge_envs.runs.result import Result
 
 
 def report(
@@ -35,19 +32,16 @@ def report(
 ) -> bool:
     """Write results as a static site: figures and tables of scores, and 3D views of the motions.
 
-    Open index.html from the folder. A 3D view runs the episode again, with the versions of the result. Exit code 1: a
+    Open index.html from the folder. A 3D view shows the motion that gauge run stored beside the result. Exit code 1: a
     file was skipped because it is damaged or of another revision of its experiment.
     """
     from gauge_envs.tools.site import save_site
     from gauge_envs.tools.site.build import check_replaceable
 
-    # Check before the runs, which may take minutes.
     check_replaceable(out)
     with needs_extra("gauge report", "plot"):
         import_module("matplotlib")
     results, skipped = loaded_results(sources, with_scene=True, corrected=corrected)
-    if motion_view:
-        note(_repeated_runs_text(results.values()))
     pages = len({result.id for result in results.values()})
     with Progress("pages", pages, line_interval_s=LINE_INTERVAL_S) as progress:
         notes = save_site(
@@ -63,14 +57,3 @@ def report(
     message(counted(len(results), "result"))
     echo(out / "index.html")
     return bool(skipped)
-
-
-def _repeated_runs_text(results: Iterable[Result]) -> str:
-    """Return how many episodes the 3D views run again, one of each configuration, and their time."""
-    seconds = [
-        {result.id: result.wall_s or 0.0 for result in members}
-        for _, members in group_by_configuration(results)
-    ]
-    count = counted(sum(map(len, seconds)), "episode")
-    total_s = sum(sum(times.values()) for times in seconds)
-    return f"3D views run {count} again, {total_s:.0f} s; --no-motion-view runs nothing"

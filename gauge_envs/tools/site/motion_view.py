@@ -1,22 +1,13 @@
-"""3D views of results: run each episode again, and write its poses as data of a page.
-
-A result file has only the generalized trajectory g(t), and all inputs of the run: scene, engine, settings, parameters,
-initial state and seed.
-"""
+"""3D views of results: the poses and nodes of a run as data of a page."""
 
 from base64 import b64encode
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gauge_envs.backends import engine_call, versions_of
-from gauge_envs.envs.arguments import EnvArguments
-from gauge_envs.envs.initial_states import InitialStates
-from gauge_envs.envs.rollout import Rollout
-from gauge_envs.errors import GaugeError
+from gauge_envs.errors import ResultFileError
 from gauge_envs.experiments.experiment import AssetKind, Experiment
 from gauge_envs.observables.kinds import Observable
 from gauge_envs.references.band import Band
@@ -24,152 +15,49 @@ from gauge_envs.rendering.camera import FIELD_OF_VIEW_DEG, experiment_view
 from gauge_envs.rendering.materials import LOOKS, STRING_RADIUS_M
 from gauge_envs.rendering.reference_path import reference_path, reference_words
 from gauge_envs.rendering.skin import Skin
+from gauge_envs.runs.motion import Motion
 from gauge_envs.runs.result import Result
 from gauge_envs.runs.result_file import recorded_experiment
-from gauge_envs.runs.workers import call_engine
 from gauge_envs.scene import Compound, ConvexUnion, Deformable, Rod, Rope, Sphere
 from gauge_envs.scene.geometry import FloatArray, Pose
 from gauge_envs.scene.meshes import hull_triangles
-from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLES_PER_FRAME
 from gauge_envs.tools.compare import judging_band
-
-RIGID_VIEWS_PER_FRAME = 2
-"""Recorded views per frame of rigid scenes: 60 views per second. Deformable scenes have 30."""
 
 MAX_COUNT = 32767
 """Largest stored integer."""
 
 
-class MotionViewError(GaugeError, RuntimeError):
-    """An episode has no 3D view; the message gives the reason."""
-
-
-# --- the run ---
-
-
-@dataclass(frozen=True, kw_only=True)
-class MotionView:
-    """Positions of the bodies of an episode.
-
-    Attributes:
-        rate_hz: Views per second.
-        bodies: Names of the moving rigid bodies.
-        poses: Positions [m] and quaternions w x y z of these bodies, shape [view_count, body_count, 7].
-        nodes_m: Nodes of each deformable body by name [m], shape [view_count, node_count, 3].
-        markers_m: Markers at the frames [m], shape [frame_count, marker_count, 3]; `marker_count` is 0 if bodies are
-            observed.
-    """
-
-    rate_hz: float
-    bodies: tuple[str, ...]
-    poses: FloatArray
-    nodes_m: Mapping[str, FloatArray]
-    markers_m: FloatArray
-
-
-def motion_view(result: Result) -> MotionView:
-    """Run the episode of a result again, and return the positions of its bodies.
-
-    An engine outside this package runs in another process.
-
-    Args:
-        result: The result.
+def motion_view_data(result: Result, motion: Motion) -> dict[str, Any]:
+    """Return the data of the 3D view of a result, JSON-ready; reference positions become the ghost.
 
     Raises:
-        MotionViewError: The result lacks inputs of the run, or other versions are installed.
-        GaugeError: The engine cannot run the episode.
+        GaugeError: The scene is in a model file of an engine and not in the result.
     """
-    if result.backend is None or result.trajectory is None:
-        raise MotionViewError(
-            "the result comes from a trajectory file, not from an engine"
-        )
-    return call_engine(result.backend, _run_again, result, result.backend)
-
-
-def _run_again(result: Result, backend: str) -> MotionView:
-    """Run the episode of a result on its engine, and return the positions of its bodies."""
-    if difference := result.version_difference(versions_of(backend)):
-        raise MotionViewError(difference)
     if result.asset.get("kind") == AssetKind.MODEL:
-        raise MotionViewError(
+        raise ResultFileError(
             f"the scene is in the file {result.asset['file']}, not in the result"
         )
     experiment = recorded_experiment(result)
-    arguments = EnvArguments(
-        result.id,
-        backend=backend,
-        settings=result.settings_given or None,
-        marker_proxy=result.marker_proxy,
-    )
-    seed, initial_states = result.seed or 0, InitialStates(experiment)
-    options: Mapping[str, Any] = {"jitter": result.jitter or None}
-    if "trial" in result.jitter:
-        options = result.jitter
-    initial_state = initial_states.sample(
-        initial_states.of_reset(options, seeded=True), seed
-    )
-    with engine_call(backend, "run"):
-        rollout = arguments.rollout([experiment])
-        try:
-            rollout.reset([initial_state], seed)
-            return _recorded(rollout)
-        finally:
-            rollout.simulation.close()
-
-
-def _recorded(rollout: Rollout) -> MotionView:
-    """Run an episode to its end with zero actions, and return its views."""
-    views_per_frame = RIGID_VIEWS_PER_FRAME
-    if rollout.experiment.scene.deformables:
-        views_per_frame = 1
-    samples_per_view = SAMPLES_PER_FRAME // views_per_frame
-    # The initial state is the first view.
-    views = [(rollout.poses(), rollout.nodes_m())]
-    while not rollout.is_over[0]:
-        for sample in rollout.substeps():
-            if (sample + 1) % samples_per_view == 0:
-                views.append((rollout.poses(), rollout.nodes_m()))
-    bodies, softs = views[0]
-    poses = np.array([[*poses.values()] for poses, _ in views])
-    return MotionView(
-        rate_hz=FRAME_RATE_HZ * views_per_frame,
-        bodies=tuple(bodies),
-        poses=poses.reshape(len(views), len(bodies), 7),
-        nodes_m={
-            name: np.array([nodes_m[name] for _, nodes_m in views]) for name in softs
-        },
-        markers_m=rollout.recording.trajectory().markers_m,
-    )
-
-
-# --- data of a view, JSON-ready ---
-
-
-def motion_view_data(result: Result) -> dict[str, Any]:
-    """Run the episode of a result again, and return the data of its 3D view; reference positions become the ghost.
-
-    Raises:
-        GaugeError: The episode has no 3D view; see `motion_view`.
-    """
-    episode = motion_view(result)
-    experiment = recorded_experiment(result)
     if "trial" in result.jitter:
         experiment = replace(experiment, trial=int(result.jitter["trial"]))
+    markers_m = result.trajectory.markers_m() if result.trajectory else None
+    if markers_m is None:
+        markers_m = np.empty((0, 0, 3))
     return {
-        "rate": episode.rate_hz,
-        "views": len(episode.poses),
+        "rate": motion.rate_hz,
+        "views": len(motion.poses),
         "scene": scene_data(experiment),
-        "moving": list(episode.bodies),
-        "positions": quantized(episode.poses[..., :3]),
+        "moving": list(motion.bodies),
+        "positions": quantized(motion.poses[..., :3]),
         # Quaternions are stored x y z w, the order of three.js.
-        "turns": quantized(episode.poses[..., [4, 5, 6, 3]]),
+        "turns": quantized(motion.poses[..., [4, 5, 6, 3]]),
         "soft": [
-            _soft_data(body, episode.nodes_m[body.name])
+            _soft_data(body, motion.nodes_m[body.name])
             for body in experiment.scene.deformables
         ],
         "markers": {
-            **quantized(episode.markers_m),
-            "count": episode.markers_m.shape[1],
+            **quantized(markers_m),
+            "count": markers_m.shape[1],
         },
         "ghost": _ghost(experiment, judging_band(experiment, [result])),
     }

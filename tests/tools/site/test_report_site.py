@@ -11,12 +11,13 @@ import pytest
 from gauge_envs.errors import GaugeError, ResultFileError
 from gauge_envs.runs.batch import run_many
 from gauge_envs.runs.episodes import run_episode
+from gauge_envs.runs.motion import load_motion, motion_file
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result_file import load_result, recorded_experiment, write_result
 from gauge_envs.scene.jitter import Jitter
 from gauge_envs.scoring.reference import reference_band
 from gauge_envs.tools.site import save_site
-from gauge_envs.tools.site.motion_view import motion_view, motion_view_data
+from gauge_envs.tools.site.motion_view import motion_view_data
 
 SLIDE = "SlopeSlider-2-wood"
 SETTINGS = {"timestep_s": 1 / 900}
@@ -68,7 +69,10 @@ def results(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def slide(results):
-    return next(result for result in results.values() if result.id.endswith(SLIDE))
+    file, result = next(
+        (file, result) for file, result in results.items() if result.id.endswith(SLIDE)
+    )
+    return replace(result, motion=load_motion(motion_file(file)))
 
 
 @pytest.fixture(scope="module")
@@ -161,17 +165,29 @@ def test_only_a_complete_site_replaces_the_old_site(results, tmp_path):
 # --- 3D views ---
 
 
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"versions": {"mujoco": "0.1"}}, r"made with mujoco 0\.1, not "),
-        ({"backend": None}, "trajectory file"),
-        ({"asset": {"file": "slide.xml", "kind": "model"}}, r"slide\.xml"),
-    ],
-)
-def test_a_run_that_cannot_be_repeated_has_no_3d_view(changes, message, slide):
-    with pytest.raises(GaugeError, match=message):
-        motion_view(replace(slide, **changes))
+def test_a_scene_in_the_model_file_of_an_engine_has_no_3d_view(slide):
+    asset = {"file": "slide.xml", "kind": "model"}
+    with pytest.raises(GaugeError, match=r"slide\.xml"):
+        motion_view_data(replace(slide, asset=asset), slide.motion)
+
+
+@pytest.mark.parametrize("content", [None, b"", b"PK of another archive"])
+def test_a_page_names_the_missing_or_damaged_motion(content, slide, tmp_path):
+    file = tmp_path / "a.json"
+    write_result(slide, file)
+    motion_file(file).unlink()
+    if content is not None:
+        motion_file(file).write_bytes(content)
+    (note,) = save_site({file: load_result(file)}, tmp_path / "site")
+    assert str(motion_file(file)) in note
+    assert "gauge run" in note
+
+
+def test_a_file_keeps_the_motion_in_single_precision(slide, tmp_path):
+    write_result(slide, tmp_path / "a.json")
+    motion = load_motion(motion_file(tmp_path / "a.json"))
+    assert (motion.bodies, motion.rate_hz) == (slide.motion.bodies, 60.0)
+    np.testing.assert_allclose(motion.poses, slide.motion.poses, rtol=1e-7, atol=1e-9)
 
 
 def unpacked(packed):
@@ -179,7 +195,7 @@ def unpacked(packed):
 
 
 def test_the_data_have_the_slope_of_the_cube_and_real_values_as_ghost(slide):
-    data = motion_view_data(slide)
+    data = motion_view_data(slide, slide.motion)
     cosine = unpacked(data["turns"])[3]
     assert np.degrees(2.0 * np.arccos(abs(cosine))) == pytest.approx(30.0, abs=0.1)
     places_mm = 1e3 * unpacked(data["positions"]).reshape(-1, 3)
@@ -197,17 +213,6 @@ def test_the_data_have_the_slope_of_the_cube_and_real_values_as_ghost(slide):
 
 def test_a_3d_view_has_the_initial_state_of_its_repeat():
     noise = Jitter(position_m=0.0015, angle_rad=0.01)
-    for result in run_many([RunRequest(SLIDE, repeats=2, seed=1, jitter=noise)]):
-        start_mm = 1e3 * motion_view(result).poses[0, 0, :3]
-        np.testing.assert_allclose(start_mm, result.trajectory.samples[0], atol=1e-9)
-
-
-def test_the_command_states_the_time_of_its_runs_before_they_start(
-    slide, gauge, tmp_path
-):
-    write_result(replace(slide, wall_s=12.0), tmp_path / "first.json")
-    write_result(replace(slide, wall_s=30.0, backend="other"), tmp_path / "other.json")
-    shown = gauge("report", ".", "--out", "site").stderr
-    assert shown.startswith("note: 3D views run 2 episodes again, 42 s;")
-    quiet = gauge("report", ".", "--out", "site", "--no-motion-view").stderr
-    assert "again" not in quiet
+    first, _ = run_many([RunRequest(SLIDE, repeats=2, seed=1, jitter=noise)])
+    start_mm = 1e3 * first.motion.poses[0, 0, :3]
+    np.testing.assert_allclose(start_mm, first.trajectory.samples[0], atol=1e-9)
