@@ -10,6 +10,7 @@ from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.pages.html import Html, element, folded, join
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scoring.answers import DistanceCause
+from gauge_envs.tools.control import stored_policy
 from gauge_envs.tools.demo.measure import (
     BALL,
     CREEP,
@@ -27,12 +28,14 @@ SHARE = 0.98
 
 POLICY = f"""\
 import gymnasium, gauge_envs
+from gauge_envs.tools.control import stored_policy
+
+policy = stored_policy("{TASK.removeprefix("GAUGE/")}")
 env = gymnasium.make("{TASK}")
-env.reset(seed=0)
+seen, _ = env.reset(seed=0)
 over = False
 while not over:
-    a = env.unwrapped.law_action({SHARE})
-    *_, end, cut, info = env.step(a)
+    seen, _, end, cut, info = env.step(policy(seen))
     over = end or cut
 print(f"{{info['limit'].ratio:.0%}}")"""
 
@@ -195,20 +198,22 @@ def contacts_card() -> Card:
 
 
 def policy_card() -> Card:
-    """Return the share of the maximum that three policies reach; no trained one is stored."""
-    law, report = used_friction(lambda env: env.law_action(SHARE))
-    full, full_report = used_friction(lambda env: 1.0)
-    _, zero_report = used_friction(lambda env: 0.0)
+    """Return the shares of the maximum that a trained policy, the law's own and two constant actions reach."""
+    policy = stored_policy(TASK.removeprefix("GAUGE/"))
+    trained, report = used_friction(lambda _, observation: policy(observation))
+    _, law_report = used_friction(lambda env, _: env.law_action(SHARE))
+    full, full_report = used_friction(lambda *_: 1.0)
+    _, zero_report = used_friction(lambda *_: 0.0)
     limit = report.limit.value
-    ends = (0.0, len(law)), (0.0, 1.2 * limit)
+    ends = (0.0, len(trained)), (0.0, 1.2 * limit)
     y = _points(np.zeros(1), np.array([limit]), *ends)[0][1]
     return Card(
         title="Your policy against the maximum",
         value=f"{100 * report.ratio:.0f}",
         unit="%",
-        text=f"The law's own policy, which is not trained, reaches {100 * report.ratio:.0f} % of the maximum. "
-        f"Zero actions reach {100 * zero_report.ratio:.0f} %. With full acceleration the cube {full_report.ending}: "
-        f"{100 * full_report.ratio:.0f} %.",
+        text=f"PPO reaches {100 * report.ratio:.0f} % of the maximum after 60,000 steps, the law's own policy "
+        f"{100 * law_report.ratio:.0f} %, zero actions {100 * zero_report.ratio:.0f} %. With full acceleration the "
+        f"cube {full_report.ending}: {100 * full_report.ratio:.0f} %.",
         command=POLICY,
         shapes=(
             _curve(((6, 178), (274, 178))),
@@ -216,9 +221,12 @@ def policy_card() -> Card:
             _curve(
                 _points(np.arange(float(len(full))), np.array(full), *ends), "wrong"
             ),
-            _curve(_points(np.arange(float(len(law))), np.array(law), *ends), "right"),
+            _curve(
+                _points(np.arange(float(len(trained))), np.array(trained), *ends),
+                "right",
+            ),
             _words(266, y - 8, "maximum", is_right=True),
-            _words(266, y + 34, "law's policy", "right", is_right=True),
+            _words(266, y + 34, "PPO", "right", is_right=True),
             _words(70, y - 8, "slips", "wrong"),
             _words(266, 172, "zero actions", is_right=True),
         ),

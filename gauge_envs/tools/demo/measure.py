@@ -80,20 +80,20 @@ def creep() -> SanityResult:
 
 
 def used_friction(
-    policy: Callable[[Any], NDArray[np.float32] | float],
+    policy: Callable[[Any, FloatArray], NDArray[np.floating] | float],
 ) -> tuple[list[float], Any]:
     """Return the friction that a policy uses in each step of `TASK`, and the `LimitReport` of its episode.
 
     Args:
-        policy: Function of the environment that returns the next action.
+        policy: Function of the environment and the observation that returns the next action.
     """
     env: Any = gymnasium.make(TASK)
-    env.reset(seed=0)
+    observation, _ = env.reset(seed=0)
     column = env.unwrapped.OBSERVED.index("friction_used")
     used: list[float] = []
     is_over = False
     while not is_over:
-        action = np.full(1, policy(env.unwrapped), np.float32)
+        action = np.full(1, policy(env.unwrapped, observation), np.float32)
         observation, _, terminated, truncated, info = env.step(action)
         used.append(float(observation[column]))
         is_over = terminated or truncated

@@ -8,9 +8,9 @@ import pytest
 from control_episodes import by_law, make
 
 from gauge_envs import load_experiment
-from gauge_envs.errors import ActionError, EpisodeError
+from gauge_envs.errors import ActionError, EpisodeError, UnknownNameError
 from gauge_envs.references.uncertainties import friction_std
-from gauge_envs.tools.control import names
+from gauge_envs.tools.control import names, play_paid, stored_policy
 
 
 @pytest.mark.parametrize("name", names())
@@ -78,3 +78,17 @@ def test_a_noisy_start_has_its_limit_and_the_next_start_the_nominal_limit():
     env.reset(seed=1, options={"jitter": False})
     assert env.task.limit().value == nominal
     assert by_law(env)[1].ratio < 1.0
+
+
+@pytest.mark.parametrize("name", ["Throw-Limit-rubber", "SlopeSlider-Limit-metal"])
+def test_a_stored_policy_nears_the_maximum_from_noisy_starts(name):
+    env = gymnasium.make(f"GAUGE/{name}", jitter="real").unwrapped
+    reports = [
+        play_paid(env, stored_policy(name), seed=10_000 + n)[1] for n in range(2)
+    ]
+    assert all(0.95 < report.ratio <= 1.0 for report in reports)
+
+
+def test_an_unknown_stored_policy_names_the_known():
+    with pytest.raises(UnknownNameError, match="Throw-Limit-rubber"):
+        stored_policy("Throw-Limit-rubbr")
