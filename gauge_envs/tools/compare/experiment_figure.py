@@ -66,7 +66,7 @@ MAX_RANGE = 10.0
 NARROW, WIDE = "#c4c4c4", "#e3e3e3"
 
 VALIDATION = "Validation: is the motion like reality?"
-VERIFICATION = "Verification: does the engine solve the scene of the task file?"
+VERIFICATION = "Verification: does the engine solve the scene?"
 """Questions that references answer. No table, axis or rank mixes the two."""
 
 
@@ -173,8 +173,8 @@ def draw_experiment(
     # The band of real trials fills a panel. The band of a solution may be narrower than rounding errors.
     if not reference.band.kind.is_real:
         _widen(axes)
-    title = f"{results[0].id}: {experiment.title}\n{_question(reference)}"
-    figure.suptitle(title, x=0.01, ha="left", fontsize=12, fontweight="bold")
+    title = [f"{results[0].id}: {experiment.title}", *wrap(_question(reference), 108)]
+    figure.suptitle("\n".join(title), x=0.01, ha="left", fontsize=12, fontweight="bold")
     notes = "\n".join(wrap(" ".join(_notes(experiment, reference)), 195))
     figure.supxlabel(notes, x=0.01, ha="left", fontsize=8, color="#505050")
     return figure
