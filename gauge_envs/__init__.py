@@ -1,4 +1,4 @@
-"""Gymnasium environments that measure how far a physics engine is from reality.
+"""Gymnasium environments that separate errors of engine, settings and constants.
 
 Importing this package registers 75 experiments as `GAUGE/<Family>[-<subtask>]-<material>`:
 

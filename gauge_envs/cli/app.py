@@ -272,7 +272,7 @@ def _root(
         ),
     ] = False,
 ) -> None:
-    """Measure how far a physics engine is from real motion-capture trials (GAUGE benchmark)."""
+    """Separate errors of a simulation by their cause: engine, settings or constants (GAUGE benchmark)."""
 
 
 def main() -> None:

@@ -78,7 +78,7 @@ BUNDLED_COMMANDS = {
         version=7,
     ),
     "sanity": CommandInfo(
-        "Check the physics of a training configuration, and print the best fix of its settings.",
+        "Check the physics of a robot model or an RL task, and name causes before effects.",
         version=7,
     ),
     "sanity probe": CommandInfo(

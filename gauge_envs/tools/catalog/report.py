@@ -239,8 +239,8 @@ def planted_errors_text(reference: Mapping[str, Any]) -> str:
         rows, planted_error_scores(reference), strict=True
     ):
         if row["answers"]["nominal"] == Answer.NO:
-            text = f"the answer to {UNCHANGED} {scores[UNCHANGED]} is no already"
-            texts.append(f"{metric}: {text}, so no error changes it")
+            text = f"the unchanged scene fails already with {scores[UNCHANGED]}"
+            texts.append(f"{metric}: {text}, so no error can change the verdict")
             continue
         detected = [f"{title} {score}" for title, score in scores.items() if score]
         text = f"{metric}: {', '.join(detected)}"

@@ -173,8 +173,10 @@ def draw_experiment(
     # The band of real trials fills a panel. The band of a solution may be narrower than rounding errors.
     if not reference.band.kind.is_real:
         _widen(axes)
-    title = [f"{results[0].id}: {experiment.title}", *wrap(_question(reference), 108)]
-    figure.suptitle("\n".join(title), x=0.01, ha="left", fontsize=12, fontweight="bold")
+    heading = [f"{results[0].id}: {experiment.title}", *wrap(_question(reference), 108)]
+    figure.suptitle(
+        "\n".join(heading), x=0.01, ha="left", fontsize=12, fontweight="bold"
+    )
     notes = "\n".join(wrap(" ".join(_notes(experiment, reference)), 195))
     figure.supxlabel(notes, x=0.01, ha="left", fontsize=8, color="#505050")
     return figure

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
         names as names,
         summary as summary,
     )
-    from gauge_envs.tools.control.stored_policy import stored_policy as stored_policy
+    from gauge_envs.tools.control.trained import stored_policy as stored_policy
 else:
     __getattr__, __all__ = lazy_names(
         __name__,
@@ -30,6 +30,6 @@ else:
                 "play_paid",
             ],
             ".ids": ["document", "names", "summary"],
-            ".stored_policy": ["stored_policy"],
+            ".trained": ["stored_policy"],
         },
     )

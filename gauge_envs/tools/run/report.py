@@ -35,10 +35,12 @@ from gauge_envs.tools.run.plan import PlannedRun, episode_count
 MAX_EXPLAINED = 5
 """Maximum number of results with explanations below their rows."""
 
-NOTE = (
-    "Trials: mean distance of real trials. Exact: distance of the exact motion with the same constants. "
-    "Solves: whether the engine solves the scene. More: --details"
-)
+NOTES = {
+    "trials": "Trials: mean distance of real trials.",
+    "exact": "Exact: distance of the exact motion with the same constants.",
+    "solves": "Solves: whether the engine solves the scene.",
+}
+"""Meaning of columns, by key."""
 
 COLUMNS = (
     Column("id", "id", short_id),
@@ -120,7 +122,9 @@ def _summary(results: Sequence[Result], *, details: bool) -> Iterator[Part]:
     columns = [column for column in COLUMNS if column.key in filled]
     yield Paragraph(f"{answers_text(results)}.", Tone.ANSWER)
     yield Paragraph(", ".join(shared), Tone.NOTE)
-    yield Table(columns=tuple(columns), rows=rows, notes=(NOTE,))
+    notes = [note for key, note in NOTES.items() if key in filled]
+    note = " ".join([*notes, "More: --details"])
+    yield Table(columns=tuple(columns), rows=rows, notes=(note,))
     if details:
         for result, row in zip(results, rows, strict=True):
             yield Heading(f"{short_id(result.id)} {row['label']}".rstrip())

@@ -105,7 +105,7 @@ def sanity(
     out: OutOption = None,
     form: arguments.Form = Format.TEXT,
 ) -> int:
-    """Check the physics of a training configuration, and print the best fix of its settings.
+    """Check the physics of a robot model or an RL task, and name causes before effects.
 
     Reads the target's own model, runs it, then runs measured objects with its numerical settings, and compares all with
     mechanics and real trials; gauge list phenomena shows all checks. Exit code 0: no error, all checks were measured.
