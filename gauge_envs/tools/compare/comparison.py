@@ -34,7 +34,6 @@ from gauge_envs.scoring.score import FROM_SOLUTION, Interval
 from gauge_envs.tools.compare.distance import Distance, trajectory_distance
 from gauge_envs.tools.compare.ranks import (
     KindComparison,
-    ScoredExperiment,
     compare_kind,
 )
 from gauge_envs.tools.compare.reference import choose_reference
@@ -195,12 +194,12 @@ class ExperimentComparison:
             return None
         return self.baselines[metric].engines
 
-    def scored(self) -> ScoredExperiment:
-        """Return the scores of this experiment for ranking within its kind."""
-        deviations = {
+    @property
+    def deviations(self) -> dict[int, Deviations]:
+        """Deviations of each configuration with a score, by index."""
+        return {
             index: cell.deviations for index, cell in self.present if cell.deviations
         }
-        return ScoredExperiment(id=self.id, deviations=deviations)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -232,11 +231,11 @@ class ScoreComparison:
         """Ranks within each kind of reference; experiments with several references are left out."""
         comparisons: list[KindComparison] = []
         for kind in Kind:
-            scored = [
-                experiment.scored()
+            scored = {
+                experiment.id: experiment.deviations
                 for experiment in self.experiments
                 if experiment.kind is kind and _is_ranked(experiment)
-            ]
+            }
             comparisons += compare_kind(kind, scored, self.constants)
         return tuple(comparisons)
 
