@@ -14,7 +14,9 @@ from gauge_envs.files import data_folder
 
 PACKAGE = Path(gauge_envs.__file__).parent
 FAMILIES = sorted({variant.family for variant in (*variants(), *beyond_variants())})
-NAMES = sorted({*FAMILIES, *(path.stem for path in data_folder("tasks").glob("*_*.toml"))})
+NAMES = sorted(
+    {*FAMILIES, *(path.stem for path in data_folder("tasks").glob("*_*.toml"))}
+)
 """Families, and the names of their files unless they are single English words."""
 
 BACKENDS = sorted((PACKAGE / "backends").rglob("*.py"))

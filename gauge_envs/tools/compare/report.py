@@ -504,12 +504,10 @@ def _mean_rank_tables(
         if len(kind.ids) < min_experiments or len(kind.mean_ranks) < 2:
             continue
         title = f"{kind.name}, {counted(len(kind.ids), 'experiment')}"
-        ranked = [
-            {"kind": title, "label": comparison.labels[index], "mean_rank": mean}
-            for index, mean in kind.mean_ranks.items()
-            if mean is not None
-        ]
-        rows += sorted(ranked, key=lambda row: row["mean_rank"].value)
+        ranked = [(mean, index) for index, mean in kind.mean_ranks.items() if mean]
+        for mean, index in sorted(ranked, key=lambda pair: pair[0].value):
+            label = comparison.labels[index]
+            rows.append({"kind": title, "label": label, "mean_rank": mean})
     if not rows:
         return []
     rank = Column("mean_rank", "mean rank", _mean_rank_text, is_number=True)

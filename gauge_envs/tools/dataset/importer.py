@@ -138,11 +138,11 @@ def _baseline_line(
     return BaselineLine(
         metric=metric,
         unit=spread.unit if spread else "",
-        own_mean=own and own.mean,
-        own_std=own and own.std,
+        own_mean=own.mean if own else None,
+        own_std=own.std if own else None,
         own_trial_count=own.trial_count if own else 0,
-        published_mean=paper and paper.mean,
-        published_std=paper and paper.std,
+        published_mean=paper.mean if paper else None,
+        published_std=paper.std if paper else None,
         difference=difference,
         flagged=is_flagged,
     )
