@@ -148,8 +148,8 @@ def oscillation_period(signal: FloatArray) -> float:
     than the scatter of real trials.
 
     Args:
-        signal: One coordinate at the 30 Hz frames that swings once per period, shape [frame_count]. For a pendulum it is
-            the horizontal coordinate, as the height swings twice per period.
+        signal: Coordinate at the 30 Hz frames that swings once per period, shape [frame_count]: the horizontal one of a
+            pendulum, as its height swings twice.
 
     Returns:
         Period, s; NaN for a constant signal.
