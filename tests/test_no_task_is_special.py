@@ -9,11 +9,14 @@ from pathlib import Path
 import pytest
 
 import gauge_envs
-from gauge_envs.experiments.variants import beyond_variants, task_files, variants
+from gauge_envs.experiments.variants import beyond_variants, variants
+from gauge_envs.files import data_folder
 
 PACKAGE = Path(gauge_envs.__file__).parent
 FAMILIES = sorted({variant.family for variant in (*variants(), *beyond_variants())})
-NAMES = sorted({*FAMILIES, *(path.stem for path in task_files() if "_" in path.stem)})
+NAMES = sorted(
+    {*FAMILIES, *(path.stem for path in data_folder("tasks").glob("*_*.toml"))}
+)
 """Families, and the names of their files unless they are single English words."""
 
 BACKENDS = sorted((PACKAGE / "backends").rglob("*.py"))

@@ -210,14 +210,14 @@ Repeats = Annotated[
 ]
 
 
-def timeout(text: str, show_default: str, *, is_positive: bool = True) -> Any:
-    """Return the option `--timeout`; zero is rejected if it would stop every run."""
+def timeout(text: str, show_default: str) -> Any:
+    """Return the option `--timeout`; zero is rejected, because it would stop every run."""
     return measured(
         "--timeout",
         "s",
         text,
         NUMERICS,
-        is_positive=is_positive,
+        is_positive=True,
         show_default=show_default,
     )
 

@@ -27,11 +27,7 @@ from gauge_envs.scene import (
 )
 from gauge_envs.scene.drivers import Driver, DriverMotion
 from gauge_envs.scene.geometry import NonNegative, Positive, Vector, vector
-from gauge_envs.scene.profiles import (
-    CosineProfile,
-    SampledProfile,
-    TrapezoidProfile,
-)
+from gauge_envs.scene.profiles import Profile
 
 Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
 
@@ -102,12 +98,6 @@ ShapeTable = Annotated[
 """Table of a shape, which becomes the shape."""
 
 
-ProfileTable = Annotated[
-    TrapezoidProfile | CosineProfile | SampledProfile, Field(discriminator="kind")
-]
-"""Table of a profile, which becomes the profile, in m or rad."""
-
-
 class MotionSpec(FileModel):
     """One coordinate of a driver.
 
@@ -124,7 +114,7 @@ class MotionSpec(FileModel):
     kind: Literal["translate", "rotate"]
     axis: UnitVector
     point_in_body_m: Vector = (0.0, 0.0, 0.0)
-    profile: tuple[ProfileTable, ...] = ()
+    profile: tuple[Profile, ...] = ()
     residual_rate_m_per_s: NonNegative = 0.0
     residual_rate_deg_per_s: NonNegative = 0.0
 

@@ -107,11 +107,6 @@ def unreadable_task_files() -> tuple[TaskFileError, ...]:
     return _own_rows(own_task_files())[1]
 
 
-def task_files() -> tuple[Path, ...]:
-    """Return all task files of the package, sorted by name."""
-    return tuple(sorted(data_folder("tasks").glob("*.toml")))
-
-
 def variants() -> tuple[Variant, ...]:
     """Return all variants of the benchmark, in the order of the index."""
     return tuple(

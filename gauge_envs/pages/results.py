@@ -113,30 +113,13 @@ SCORE_METRICS: Mapping[str, Metric] = {
 """Metrics of a score by key, in the order of tables: first those that need a reference motion, then events."""
 
 
-def raw_score(score: Score, metric: str) -> float | None:
-    """Return a metric in its unit; None if the score does not have it."""
+def raw_and_normalized(score: Score, metric: str) -> tuple[float | None, float | None]:
+    """Return a metric in its unit, and over its value for real trials or the motion of a solution; None if unknown."""
     if SCORE_METRICS[metric].is_event:
         event = score.events.get(metric)
-        return None if event is None else event.value
-    if metric == FROM_SOLUTION and score.primary != FROM_SOLUTION:
-        return None
-    value: float | None = getattr(score, metric)
-    return value
-
-
-def normalized_score(score: Score, metric: str) -> float | None:
-    """Return a metric over its value for real trials, or over the motion of a solution; None without these."""
-    if SCORE_METRICS[metric].is_event:
-        event = score.events.get(metric)
-        return None if event is None else event.over_real
-    if metric == FROM_SOLUTION:
-        return score.primary_normalized if score.primary == metric else None
-    value: float | None = getattr(score, f"{metric}_normalized")
-    return value
-
-
-def score_interval(score: Score, metric: str) -> tuple[float, float] | None:
-    """Return the 95 % interval of the normalized metric; None if it is not the primary one."""
-    if metric != score.primary:
-        return None
-    return score.primary_interval
+        return (None, None) if event is None else (event.value, event.over_real)
+    if metric != FROM_SOLUTION:
+        return getattr(score, metric), getattr(score, f"{metric}_normalized")
+    if score.primary != metric:
+        return None, None
+    return score.solution_distance, score.primary_normalized

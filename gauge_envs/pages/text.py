@@ -1,7 +1,7 @@
 """Texts of names, numbers and lists that all documents share."""
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from gauge_envs.references.kind import Kind
@@ -107,16 +107,12 @@ def score_text(value: float | None) -> str:
     return f"{value:.3g}"
 
 
-def interval_text(
-    value: float | None,
-    interval: Sequence[float] | None,
-    text: Callable[[float | None], str] = score_text,
-) -> str:
+def interval_text(value: float | None, interval: Sequence[float] | None) -> str:
     """Return a score with its 95 % interval, `0.41 [0.17, 1.43]`; a dash for None."""
     if value is None or interval is None:
-        return text(value)
-    low, high = map(text, interval)
-    return f"{text(value)} [{low}, {high}]"
+        return score_text(value)
+    low, high = map(score_text, interval)
+    return f"{score_text(value)} [{low}, {high}]"
 
 
 def quantity_text(value: float) -> str:

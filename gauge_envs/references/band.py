@@ -282,10 +282,7 @@ class Band:
     @cached_property
     def zero_motion_distance(self) -> float:
         """Distance of a scene in which nothing moves."""
-        compared = self.compared
-        first = np.isfinite(compared.mean).argmax(axis=0)
-        start = np.take_along_axis(compared.mean, first[None], axis=0)
-        return compared.length(compared.mean - start)
+        return self.compared.length(displacements(self.compared.mean))
 
     @property
     def has_release(self) -> bool:
@@ -323,6 +320,12 @@ class Band:
                 f"trajectory has shape {trajectory.shape}; [frame_count, {self.projection.shape[1]}] is needed"
             )
         return trajectory @ self.projection.T
+
+
+def displacements(motion: FloatArray) -> FloatArray:
+    """Return a motion relative to its first known position, shape [T, C]; NaN is unknown."""
+    first = np.isfinite(motion).argmax(axis=0)
+    return motion - np.take_along_axis(motion, first[None], axis=0)
 
 
 # --- files -----------------------------------------------------------------------------------------------------------

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from itertools import permutations
 from typing import Literal
 
 import numpy as np
@@ -20,9 +21,6 @@ SAME_POSE = 1e-9
 
 STEEP_RAD = np.radians(85.0)
 """Largest second angle of three successive rotations [rad]; at 90 degrees (gimbal lock) they are ambiguous."""
-
-AXIS_ORDERS = ((0, 1, 2), (0, 2, 1), (1, 0, 2), (1, 2, 0), (2, 0, 1), (2, 1, 0))
-"""Orders of three successive rotations about the world axes x, y, z."""
 
 
 def sampled_motions(
@@ -115,7 +113,7 @@ def _templates(
     yield (_motion("rotate", axis, like, point_m=_centre(start, positions, rotations)),)
     linear = tuple(_motion("translate", axis, like) for axis in _basis(like))
     yield (_motion("rotate", axis, like, point_m=start.position_m), *linear)
-    order = min(AXIS_ORDERS, key=lambda order: _steepness(rotations, order))
+    order = min(permutations(range(3)), key=lambda order: _steepness(rotations, order))
     if _steepness(rotations, order) < STEEP_RAD:
         units = np.eye(3)[list(order)]
         yield (
@@ -178,7 +176,7 @@ def _centre(start: Pose, positions: FloatArray, rotations: Rotation) -> Vector:
     return vector(start.position_m + arm)
 
 
-def _steepness(rotations: Rotation, order: tuple[int, int, int]) -> float:
+def _steepness(rotations: Rotation, order: tuple[int, ...]) -> float:
     """Return the largest second angle of three successive rotations about world axes [rad]."""
     matrices = rotations.as_matrix()
     first, _, last = order

@@ -14,6 +14,17 @@ from gauge_envs.scene.scene import GRAVITY_M_PER_S2
 class Fabric:
     """Measured constants of a fabric, all positive.
 
+    The bending stiffness D per width of a plate [N m] equals K_theta. Hinge lines, each a row of hinges of length l,
+    divide a mesh into strips of width h. At a curvature kappa about these lines, every hinge rotates by kappa h, with a
+    torque K_theta kappa h on its length l. The moment per length of a plate is D kappa, so D = K_theta h / l. On a
+    square grid h = l, so D = K_theta for every mesh size. Diagonals do not change this: if the height varies along one
+    grid axis only, the two triangles of a cell stay in one plane. At 45 degrees, equal hinges on all edges give 5/2 or
+    1/2 of D, by the direction of the diagonals.
+
+    Assumption: the published K_theta is the stiffness of each hinge of a square grid. No publication defines the hinge.
+    Two facts support the assumption. Cantilever tests measure K_theta as a stiffness per width. With it, the six
+    fabrics have bending lengths of 7 to 17 mm (`bending_length_m`), common for cloth.
+
     Attributes:
         stretch_stiffness_n_per_m: K_s, force per width over strain of a uniaxial test with free transverse edges.
         shear_stiffness_n_per_m: K_sh, force per width over engineering shear strain.
@@ -29,38 +40,14 @@ class Fabric:
     areal_density_kg_per_m2: float
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            _check_positive(field.name, getattr(self, field.name))
+        for name, value in vars(self).items():
+            if not (math.isfinite(value) and value > 0.0):
+                raise ParameterError(f"{name} = {value!r}: must be a positive number")
 
     @classmethod
     def of(cls, source: Any) -> Fabric:
         """Return the fabric of a cloth in a scene, or of its constants in a task file."""
         return cls(**{field.name: getattr(source, field.name) for field in fields(cls)})
-
-
-def plate_bending_stiffness(
-    *, hinge_stiffness_n_m_per_rad: float, spacing_over_length: float = 1.0
-) -> float:
-    """Return the bending stiffness per width of a mesh of hinges that bends along grid lines [N m].
-
-    Hinge lines, each a row of hinges of length l, divide the mesh into strips of width h. At a curvature kappa about
-    these lines, every hinge rotates by kappa h, with a torque K_theta kappa h on its length l. The moment per length of
-    a plate is D kappa, so D = K_theta h / l. On a square grid h = l, so D = K_theta for every mesh size. Diagonals do
-    not change this: if the height varies along one grid axis only, the two triangles of a cell stay in one plane.
-    Diagonals matter in other directions: at 45 degrees, equal hinges on all edges give 5/2 or 1/2 of D, by the
-    direction of the diagonals.
-
-    Assumption: the published K_theta is the stiffness of each hinge of a square grid, so it equals D. No publication
-    defines the hinge. Two facts support the assumption. Cantilever tests measure K_theta as a stiffness per width. With
-    it, the six fabrics have bending lengths of 7 to 17 mm (`bending_length_m`), common for cloth.
-
-    Args:
-        hinge_stiffness_n_m_per_rad: K_theta, torque over angle of one hinge.
-        spacing_over_length: h / l, distance between hinge lines over the length of a hinge.
-    """
-    _check_positive("hinge_stiffness_n_m_per_rad", hinge_stiffness_n_m_per_rad)
-    _check_positive("spacing_over_length", spacing_over_length)
-    return hinge_stiffness_n_m_per_rad * spacing_over_length
 
 
 def bending_length_m(fabric: Fabric) -> float:
@@ -69,12 +56,5 @@ def bending_length_m(fabric: Fabric) -> float:
     It is about the width of folds, and half the overhang at which a strip droops to 41.5 degrees (ASTM D1388). A mesh
     with much larger cells cannot fold as the fabric does.
     """
-    plate = plate_bending_stiffness(
-        hinge_stiffness_n_m_per_rad=fabric.bend_stiffness_n_m_per_rad
-    )
-    return math.cbrt(plate / (fabric.areal_density_kg_per_m2 * GRAVITY_M_PER_S2))
-
-
-def _check_positive(name: str, value: float) -> None:
-    if not (math.isfinite(value) and value > 0.0):
-        raise ParameterError(f"{name} = {value!r}: must be a positive number")
+    weight_n_per_m2 = fabric.areal_density_kg_per_m2 * GRAVITY_M_PER_S2
+    return math.cbrt(fabric.bend_stiffness_n_m_per_rad / weight_n_per_m2)

@@ -141,16 +141,15 @@ def momentum_transfer_efficiency(
     return math.sqrt(rise_mm / drop_height_mm)
 
 
-def oscillation_period(signal: FloatArray, *, frame_rate_hz: float = 30.0) -> float:
+def oscillation_period(signal: FloatArray) -> float:
     """Return the period of the dominant Fourier component (paper, PD).
 
     The maximum of the Hann-windowed spectrum is located between the bins: a bin of 300 frames is 0.1 Hz wide, coarser
     than the scatter of real trials.
 
     Args:
-        signal: One coordinate that swings once per period, shape [frame_count], any unit. For a pendulum it is the
-            horizontal coordinate, as the height swings twice per period.
-        frame_rate_hz: Frame rate, Hz.
+        signal: Coordinate at the 30 Hz frames that swings once per period, shape [frame_count]: the horizontal one of a
+            pendulum, as its height swings twice.
 
     Returns:
         Period, s; NaN for a constant signal.
@@ -170,7 +169,7 @@ def oscillation_period(signal: FloatArray, *, frame_rate_hz: float = 30.0) -> fl
 
     bounds = (peak - 1) / padded_count, min((peak + 1) / padded_count, 0.5)
     minimum = minimize_scalar(negative_power, bounds=bounds, options={"xatol": 1e-10})
-    return 1.0 / (float(minimum.x) * frame_rate_hz)
+    return 1.0 / (float(minimum.x) * FRAME_RATE_HZ)
 
 
 def energy_loss(height_mm: FloatArray, *, rest_height_mm: float) -> float:

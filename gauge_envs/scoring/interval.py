@@ -200,6 +200,19 @@ def prediction_limit(distances: FloatArray) -> float | None:
     return math.exp(float(logarithms.mean()) + above)
 
 
+def errors_of_mean(trials: FloatArray) -> FloatArray:
+    """Return (trial - mean) / sqrt(N (N - 1)) for trials of shape [N, T, C]; 0 where a trial is unknown."""
+    seen = np.isfinite(trials)
+    count = np.maximum(seen.sum(axis=0), 1)
+    residuals = np.where(seen, trials - np.nansum(trials, axis=0) / count, 0.0)
+    return residuals / np.sqrt(np.maximum(count * (count - 1), 1))
+
+
+def shared_errors(uncertainty: FloatArray) -> FloatArray:
+    """Return a standard uncertainty that all trials share, [T, C], as an error of each coordinate, [C, T, C]."""
+    return np.nan_to_num(uncertainty) * np.eye(uncertainty.shape[1])[:, None]
+
+
 def trials_interval(
     deviation: FloatArray,
     trials: FloatArray,
@@ -217,14 +230,9 @@ def trials_interval(
         uncertainty: Standard uncertainty that all trials share, shape [T, C]; NaN counts as 0.
     """
     count = len(trials)
-    seen = np.isfinite(trials)
-    seen_count = seen.sum(axis=0)
-    mean = np.nansum(trials, axis=0) / np.maximum(seen_count, 1)
-    residuals = np.where(seen, trials - mean, 0.0)
-    errors = residuals / np.sqrt(np.maximum(seen_count * (seen_count - 1), 1))
+    errors = errors_of_mean(trials)
     if uncertainty is not None:
-        shared = np.nan_to_num(uncertainty) * np.eye(uncertainty.shape[1])[:, None]
-        errors = np.concatenate([errors, shared])
+        errors = np.concatenate([errors, shared_errors(uncertainty)])
 
     known = np.isfinite(deviation)
     root = math.sqrt(int(known.any(axis=1).sum()))

@@ -29,7 +29,7 @@ from gauge_envs.fixtures.parts import ball, box, contact, fixed_box, ground
 from gauge_envs.fixtures.recording import record
 from gauge_envs.formats.usd.isaac_fabric import surface_constants
 from gauge_envs.scene import GRAVITY_M_PER_S2, Motion, Pose, Scene
-from gauge_envs.scene.fabrics import Fabric, bending_length_m, plate_bending_stiffness
+from gauge_envs.scene.fabrics import Fabric, bending_length_m
 from gauge_envs.scoring.estimators import acceleration_m_per_s2
 from gauge_envs.tools.recipes.fabrics import fabric_constants
 
@@ -189,15 +189,6 @@ def test_genesis_springs_have_the_given_stiffnesses():
     stretch, shear = membrane(energy)
     assert stretch == pytest.approx(SIX["uniform"].stretch_stiffness_n_per_m, rel=1e-4)
     assert shear == pytest.approx(mapped.shear_stiffness_n_per_m, rel=1e-4)
-
-
-def test_the_plate_of_a_grid_of_hinges():
-    """A strip of width h bends by kappa h at each hinge of length l: D = K h / l; diagonals stay flat."""
-    stiffness = {"hinge_stiffness_n_m_per_rad": 2.0}
-    assert plate_bending_stiffness(**stiffness) == 2.0
-    assert plate_bending_stiffness(**stiffness, spacing_over_length=0.5) == 1.0
-    with pytest.raises(ParameterError, match="spacing_over_length"):
-        plate_bending_stiffness(**stiffness, spacing_over_length=0.0)
 
 
 def flex_energy(constants):

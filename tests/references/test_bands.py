@@ -166,7 +166,9 @@ def test_a_carried_cube_turns_with_the_plate(name):
 # --- files -----------------------------------------------------------------------------------------------------------
 
 
-def test_an_import_is_read_as_written_and_only_on_request(tmp_path, monkeypatch):
+@pytest.fixture
+def written(tmp_path, monkeypatch):
+    """Import the bundled trials of a slide, and return their name, band, facts and file."""
     monkeypatch.setenv("GAUGE_DATA_DIR", str(tmp_path))
     name = "SlopeSlider-2-wood"
     bundled = load_band(name)
@@ -180,36 +182,26 @@ def test_an_import_is_read_as_written_and_only_on_request(tmp_path, monkeypatch)
         drivers=(),
     )
     write_imported(bundled, {}, facts)
+    (file,) = (tmp_path / "trials").iterdir()
+    return name, bundled, facts, file
+
+
+def test_an_import_is_read_as_written_and_only_on_request(written):
+    name, bundled, facts, file = written
     imported = load_band(name, DataSource.IMPORTED)
     assert imported is not bundled and load_band(name) is bundled
     for array in ("trials", "projection", "mean", "sigma", "measured"):
         np.testing.assert_array_equal(getattr(imported, array), getattr(bundled, array))
     assert load_imported(name).facts == facts
-    (file,) = (tmp_path / "trials").iterdir()
     other = file.with_name("SlopeSlider-2-metal.npz")
     shutil.copy(file, other)
     with pytest.raises(ReferenceFileError, match="it is the import of Slope"):
         load_imported(other.stem)
 
 
-def test_a_flipped_bit_of_an_import_is_an_error_of_its_id_alone(
-    tmp_path, monkeypatch, gauge
-):
+def test_a_flipped_bit_of_an_import_is_an_error_of_its_id_alone(written, gauge):
     """An import is one file whose arrays have checksums, so a flipped bit is harmless or is found."""
-    monkeypatch.setenv("GAUGE_DATA_DIR", str(tmp_path))
-    name = "SlopeSlider-2-wood"
-    bundled = load_band(name)
-    facts = ImportFacts(
-        variant=name,
-        left_out=0,
-        files=("a.json",),
-        files_sha256="0" * 64,
-        task_sha256="1" * 64,
-        metrics={},
-        drivers=(),
-    )
-    write_imported(bundled, {}, facts)
-    (file,) = (tmp_path / "trials").iterdir()
+    name, bundled, facts, file = written
     content = file.read_bytes()
     faults = []
     for place in np.linspace(0, len(content) - 1, 200).astype(int):

@@ -11,8 +11,7 @@ import pytest
 from places import ROOT
 from swings import swung_rad
 
-from gauge_envs import load_experiment, variants
-from gauge_envs.references.kind import Kind
+from gauge_envs import load_experiment
 from gauge_envs.scoring.answers import (
     Answer,
     mattering_distance,
@@ -62,11 +61,6 @@ def test_coverage_counts_the_solutions_that_are_too_uncertain_for_a_yes():
     uncertain = sum(solves(band, 0.0) is Answer.CANNOT_TELL for band in bands)
     text = f'MuJoCo gets {len(doubtful)} "cannot tell" of {len(answers)} ids. In {uncertain} of them'
     assert text in (ROOT / "docs" / "coverage.md").read_text()
-
-
-def test_only_measured_motions_are_trials():
-    bands = [reference_band(load_experiment(variant.name)) for variant in variants()]
-    assert all((b.kind is Kind.TRIALS) == (b.trials is not None) for b in bands if b)
 
 
 def fallen_mm(experiment, times_s, gravity):

@@ -26,7 +26,6 @@ from gauge_envs.backends.shared.attachments import (
 )
 from gauge_envs.backends.shared.soft_rows import soft_rows
 from gauge_envs.scene import Cloth, Contact, Rope, Scene, SoftBody
-from gauge_envs.scene.fabrics import plate_bending_stiffness
 
 Geoms = Mapping[str, Sequence[mujoco.MjsGeom]]
 """Geoms of each rigid body in the editable model, by name."""
@@ -52,9 +51,7 @@ def add_deformables(
                 body,
                 attachments=attachments,
                 cell_m=settings.cell_m or CLOTH_CELL_M,
-                bending_stiffness_n_m=plate_bending_stiffness(
-                    hinge_stiffness_n_m_per_rad=body.bend_stiffness_n_m_per_rad
-                ),
+                bending_stiffness_n_m=body.bend_stiffness_n_m_per_rad,
                 contact_radius_m=settings.cloth_fold_radius_m
                 if touches_itself
                 else None,

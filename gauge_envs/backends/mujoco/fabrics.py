@@ -3,7 +3,7 @@
 import math
 
 from gauge_envs.backends.fabric_constants import FabricConstants
-from gauge_envs.scene.fabrics import Fabric, plate_bending_stiffness
+from gauge_envs.scene.fabrics import Fabric
 
 POISSON = 0.0
 """Poisson ratio; K_s is measured with free transverse edges, and contraction is not measured."""
@@ -18,7 +18,7 @@ def flex_constants(fabric: Fabric) -> FabricConstants:
     """Return the constants of MuJoCo's two-dimensional flex.
 
     One Young's modulus and one thickness determine both membrane and bending. Mass and collision radius are separate,
-    so the thickness is free. With the plate bending stiffness D of `plate_bending_stiffness` and nu = 0,
+    so the thickness is free. With the plate bending stiffness D of `Fabric` and nu = 0,
 
     - `thickness` = sqrt(12 D (1 - nu^2) / K_s) [m], not the fabric's own,
     - `young` = K_s / thickness [Pa],
@@ -34,9 +34,7 @@ def flex_constants(fabric: Fabric) -> FabricConstants:
     """
     stretch = fabric.stretch_stiffness_n_per_m
     shear = fabric.shear_stiffness_n_per_m
-    plate = plate_bending_stiffness(
-        hinge_stiffness_n_m_per_rad=fabric.bend_stiffness_n_m_per_rad
-    )
+    plate = fabric.bend_stiffness_n_m_per_rad
     thickness = math.sqrt(12.0 * plate * (1.0 - POISSON**2) / stretch)
     constants = {
         "young": stretch / thickness,

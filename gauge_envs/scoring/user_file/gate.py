@@ -10,7 +10,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from gauge_envs.references.band import Band
+from gauge_envs.references.band import Band, displacements
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.scoring.interval import student_limit
@@ -21,7 +21,6 @@ from gauge_envs.scoring.user_file.motion_checks import (
     RATES_HZ,
     Fault,
     against_law,
-    displacements,
     motion_fault,
     owners_of,
     place_of,

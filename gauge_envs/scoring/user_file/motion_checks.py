@@ -13,7 +13,7 @@ import numpy as np
 
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.observables.kinds import Observable
-from gauge_envs.references.band import Band
+from gauge_envs.references.band import Band, displacements
 from gauge_envs.scene.geometry import FloatArray, IntArray, length_of
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.scoring.metrics import MAX_TIME_OFFSET_S, time_offset
@@ -98,12 +98,6 @@ def filled(values: FloatArray) -> FloatArray:
             at_known = frames[known], column[known]
             column[:] = np.interp(frames, *at_known, left=np.nan, right=np.nan)
     return columns
-
-
-def displacements(motion: FloatArray) -> FloatArray:
-    """Return a motion relative to its first known position, shape [T, C]; NaN is unknown."""
-    first = np.isfinite(motion).argmax(axis=0)
-    return motion - np.take_along_axis(motion, first[None], axis=0)
 
 
 def motion_fault(names: Sequence[str], unit: str, values: FloatArray) -> Fault | None:

@@ -17,9 +17,7 @@ from gauge_envs.pages.results import (
     SCORE_METRICS,
     configuration_labels,
     configuration_parts,
-    normalized_score,
-    raw_score,
-    score_interval,
+    raw_and_normalized,
 )
 from gauge_envs.pages.text import counted, short_id
 from gauge_envs.references.band import Band
@@ -34,7 +32,6 @@ from gauge_envs.scoring.score import FROM_SOLUTION, Interval
 from gauge_envs.tools.compare.distance import Distance, trajectory_distance
 from gauge_envs.tools.compare.ranks import (
     KindComparison,
-    ScoredExperiment,
     compare_kind,
 )
 from gauge_envs.tools.compare.reference import choose_reference
@@ -63,10 +60,8 @@ class Cell:
 
     def values(self, metric: str, *, normalized: bool) -> list[float | None]:
         """Return the metric of each repeat, None for a repeat without it."""
-        value_of = raw_score
-        if normalized:
-            value_of = normalized_score
-        return [value_of(result.score, metric) for result in self.results]
+        pairs = [raw_and_normalized(result.score, metric) for result in self.results]
+        return [pair[normalized] for pair in pairs]
 
     def spread(self, metric: str, *, normalized: bool) -> ScoreSpread | None:
         """Return mean and scatter over the repeats that have the metric."""
@@ -76,12 +71,12 @@ class Cell:
         """Return the 95 % interval of the mean normalized metric; None if a repeat with the metric has no interval."""
         values: list[float] = []
         intervals: list[Interval] = []
-        for result in self.results:
-            value = normalized_score(result.score, metric)
+        of_results = self.values(metric, normalized=True)
+        for value, result in zip(of_results, self.results, strict=True):
             if value is None:
                 continue
-            interval = score_interval(result.score, metric)
-            if interval is None:
+            interval = result.score.primary_interval
+            if interval is None or metric != result.score.primary:
                 return None
             values.append(value)
             intervals.append(interval)
@@ -160,8 +155,10 @@ class ExperimentComparison:
         """Return the metrics with a score or comparable published scores, the primary metric first."""
         names = []
         for name in among:
-            values = [raw_score(result.score, name) for result in self.results]
-            is_known = any(value is not None for value in values)
+            is_known = any(
+                raw_and_normalized(result.score, name)[0] is not None
+                for result in self.results
+            )
             if is_known or self.published(name) is not None:
                 names.append(name)
         return sorted(names, key=lambda name: name != self.primary)
@@ -195,12 +192,12 @@ class ExperimentComparison:
             return None
         return self.baselines[metric].engines
 
-    def scored(self) -> ScoredExperiment:
-        """Return the scores of this experiment for ranking within its kind."""
-        deviations = {
+    @property
+    def deviations(self) -> dict[int, Deviations]:
+        """Deviations of each configuration with a score, by index."""
+        return {
             index: cell.deviations for index, cell in self.present if cell.deviations
         }
-        return ScoredExperiment(id=self.id, deviations=deviations)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -232,11 +229,11 @@ class ScoreComparison:
         """Ranks within each kind of reference; experiments with several references are left out."""
         comparisons: list[KindComparison] = []
         for kind in Kind:
-            scored = [
-                experiment.scored()
+            scored = {
+                experiment.id: experiment.deviations
                 for experiment in self.experiments
                 if experiment.kind is kind and _is_ranked(experiment)
-            ]
+            }
             comparisons += compare_kind(kind, scored, self.constants)
         return tuple(comparisons)
 

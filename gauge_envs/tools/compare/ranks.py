@@ -13,7 +13,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
-from operator import attrgetter
 
 import numpy as np
 
@@ -41,37 +40,8 @@ class Mean:
     interval_95: Interval
 
 
-@dataclass(frozen=True, kw_only=True)
-class KindScore:
-    """Mean rank of one configuration over the experiments of a kind that all configurations share.
-
-    Attributes:
-        configuration: Index of the configuration.
-        mean_rank: Mean of the ranks in the experiments; None without common experiments.
-    """
-
-    configuration: int
-    mean_rank: Mean | None = None
-
-    @property
-    def order(self) -> float:
-        """Value by which scores are sorted: the mean rank, 0 without one."""
-        if self.mean_rank is None:
-            return 0.0
-        return self.mean_rank.value
-
-
-@dataclass(frozen=True, kw_only=True)
-class ScoredExperiment:
-    """Scores of one experiment.
-
-    Attributes:
-        id: Gymnasium id.
-        deviations: Deviations of the configurations with a score, by index.
-    """
-
-    id: str
-    deviations: Mapping[int, Deviations]
+Scored = Mapping[str, Mapping[int, Deviations]]
+"""Deviations of the configurations with a score, by index, of each experiment, by id."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,20 +52,15 @@ class KindComparison:
         kind: Kind of the references.
         constants: Name of the constants.
         ids: Experiments in which all configurations have a score.
-        scores: One entry for each configuration with a score of this kind.
+        mean_ranks: Mean rank of each configuration with a score of this kind, by index, over `ids`; None without ids.
         ranks: Ranks in each experiment with a score, by id and index of the configuration.
     """
 
     kind: Kind
     constants: str
     ids: tuple[str, ...]
-    scores: tuple[KindScore, ...]
+    mean_ranks: Mapping[int, Mean | None]
     ranks: Mapping[str, Mapping[int, Mean]]
-
-    @property
-    def ranked(self) -> list[KindScore]:
-        """The scores, lowest mean rank first."""
-        return sorted(self.scores, key=attrgetter("order"))
 
     @property
     def name(self) -> str:
@@ -106,7 +71,7 @@ class KindComparison:
 
 
 def compare_kind(
-    kind: Kind, experiments: Sequence[ScoredExperiment], constants: Sequence[str]
+    kind: Kind, experiments: Scored, constants: Sequence[str]
 ) -> tuple[KindComparison, ...]:
     """Return the ranks for each set of constants, the published constants first.
 
@@ -117,7 +82,7 @@ def compare_kind(
     """
     groups: dict[str, list[int]] = {}
     for index, name in enumerate(constants):
-        if any(index in experiment.deviations for experiment in experiments):
+        if any(index in deviations for deviations in experiments.values()):
             groups.setdefault(name, []).append(index)
     names = sorted(groups, key=lambda name: (name != PUBLISHED, name))
     return tuple(_compared(kind, name, experiments, groups[name]) for name in names)
@@ -126,28 +91,28 @@ def compare_kind(
 def _compared(
     kind: Kind,
     constants: str,
-    experiments: Sequence[ScoredExperiment],
+    experiments: Scored,
     members: Sequence[int],
 ) -> KindComparison:
     """Return the ranks of configurations with the same constants."""
-    ranks = {experiment.id: _ranks(experiment, members) for experiment in experiments}
+    ranks = {name: _ranks(experiments[name], members) for name in experiments}
     common = [name for name, places in ranks.items() if len(places) == len(members)]
-    scores = []
-    for index in members:
-        places = [ranks[name][index] for name in common]
-        scores.append(KindScore(configuration=index, mean_rank=_mean_rank(places)))
     return KindComparison(
         kind=kind,
         constants=constants,
         ids=tuple(common),
-        scores=tuple(scores),
+        mean_ranks={
+            index: _mean_rank([ranks[name][index] for name in common])
+            for index in members
+        },
         ranks={name: places for name, places in ranks.items() if places},
     )
 
 
-def _ranks(experiment: ScoredExperiment, members: Sequence[int]) -> dict[int, Mean]:
+def _ranks(
+    deviations: Mapping[int, Deviations], members: Sequence[int]
+) -> dict[int, Mean]:
     """Return the rank of each configuration among `members` that has a score."""
-    deviations = experiment.deviations
     scored = [index for index in members if index in deviations]
     best, worst = dict.fromkeys(scored, 1), dict.fromkeys(scored, len(scored))
     for first, second in combinations(scored, 2):

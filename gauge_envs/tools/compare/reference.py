@@ -12,19 +12,13 @@ from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.pages.results import ALIGNED
 from gauge_envs.references.band import Band
 from gauge_envs.references.kind import Kind
+from gauge_envs.rendering.reference_path import reference_words
 from gauge_envs.runs.result import RecordedTrajectory, Result, recorded_frames
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.scoring.interval import COVERAGE_FACTOR
 from gauge_envs.scoring.metrics import interpolated
 from gauge_envs.scoring.reference import reference_band
-
-NAMES = {
-    Kind.ANALYTIC: "the analytical solution",
-    Kind.NUMERICAL: "the numerical solution",
-    Kind.RECORDING: "the recorded real trial",
-    Kind.PUBLISHED: "the motion computed from published numbers",
-}
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -131,7 +125,8 @@ def choose_reference(
         labels: Label of each configuration.
     """
     if band is not None:
-        return Reference(name=_name(band), band=band.compared, scored=band)
+        name = reference_words(band.kind, band.trial_count)
+        return Reference(name=name, band=band.compared, scored=band)
     first = recorded_of(results[0]).compared
     numbers, rows = first.frames
     mean = np.full((max(numbers, default=0) + 1, len(first.coordinates)), np.nan)
@@ -178,13 +173,3 @@ def coordinate_words(name: str) -> str:
     """Return a coordinate name in words: `marker 3, z` for `marker-3.z`."""
     plain = name.replace("face_area", "face").replace("line_curvature", "bend")
     return plain.replace("_", " ").replace("-", " ").replace(".", ", ")
-
-
-def _name(band: Band) -> str:
-    if band.kind in NAMES:
-        return NAMES[band.kind]
-    if band.trial_count is None:
-        return "the mean of real trials"
-    if band.trial_count == 1:
-        return "the real trial"
-    return f"the mean of {band.trial_count} real trials"

@@ -280,22 +280,18 @@ def _spread_row(
 def _kind_row(comparison: ScoreComparison, kind: KindComparison) -> dict[str, Any]:
     """Return the ranks within a kind."""
     configurations = []
-    for score in kind.scores:
-        index = score.configuration
+    for index, mean in kind.mean_ranks.items():
         ranks = {
             name: asdict(places[index])
             for name, places in kind.ranks.items()
             if index in places
         }
-        facts: dict[str, Any] = {
+        facts = {
             "label": comparison.labels[index],
-            "mean_rank": None,
-            "mean_rank_95": None,
+            "mean_rank": mean and mean.value,
+            "mean_rank_95": mean and mean.interval_95,
             "ranks": ranks,
         }
-        if score.mean_rank is not None:
-            facts["mean_rank"] = score.mean_rank.value
-            facts["mean_rank_95"] = score.mean_rank.interval_95
         configurations.append(facts)
     return {
         "record": "kind",
@@ -505,14 +501,13 @@ def _mean_rank_tables(
     """Return the table of mean ranks within each kind of reference; empty without ranks."""
     rows = []
     for kind in comparison.kinds:
-        if len(kind.ids) < min_experiments or len(kind.scores) < 2:
+        if len(kind.ids) < min_experiments or len(kind.mean_ranks) < 2:
             continue
         title = f"{kind.name}, {counted(len(kind.ids), 'experiment')}"
-        for score in kind.ranked:
-            if score.mean_rank is not None:
-                label = comparison.labels[score.configuration]
-                row = {"kind": title, "label": label, "mean_rank": score.mean_rank}
-                rows.append(row)
+        ranked = [(mean, index) for index, mean in kind.mean_ranks.items() if mean]
+        for mean, index in sorted(ranked, key=lambda pair: pair[0].value):
+            label = comparison.labels[index]
+            rows.append({"kind": title, "label": label, "mean_rank": mean})
     if not rows:
         return []
     rank = Column("mean_rank", "mean rank", _mean_rank_text, is_number=True)

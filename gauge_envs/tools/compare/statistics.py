@@ -22,8 +22,10 @@ from gauge_envs.references.band import Band
 from gauge_envs.scene.geometry import FloatArray, length_of
 from gauge_envs.scoring.interval import (
     COVERAGE_FACTOR,
+    errors_of_mean,
     mean_half_width,
     order_widening,
+    shared_errors,
     skewed_t,
 )
 from gauge_envs.scoring.score import Interval
@@ -117,13 +119,12 @@ class Deviations:
         size = scale * math.sqrt(int(compared.known.sum()) * compared.marker_count)
         trials = shared = np.zeros((0, int(known.sum())))
         if band.trials is not None and len(band.trials) > 1:
-            trials = _errors_of_mean(band.trials)
+            trials = errors_of_mean(band.trials)
             if is_aligned:
                 trials = without_shift(trials, band.mean)
             trials = trials[:, known] / size
             if band.uncertainty is not None:
-                axes = np.eye(len(band.coordinates))[:, None]
-                shared = (np.nan_to_num(band.uncertainty) * axes)[:, known] / size
+                shared = shared_errors(band.uncertainty)[:, known] / size
         return cls(
             seeds=tuple(seeds),
             vectors=np.array(
@@ -162,15 +163,6 @@ def _scaled(deviation: FloatArray, band: Band) -> FloatArray:
     number_count = max(int(is_compared.sum()) * band.marker_count, 1)
     entries = np.nan_to_num(deviation[np.isfinite(band.mean)])
     return entries / math.sqrt(number_count)
-
-
-def _errors_of_mean(trials: FloatArray) -> FloatArray:
-    """Return (trial - mean) / sqrt(N (N - 1)) for trials of shape [N, T, C]; 0 where a trial is unknown."""
-    known = np.isfinite(trials)
-    count = np.maximum(known.sum(axis=0), 1)
-    residuals = trials - np.nansum(trials, axis=0) / count
-    errors = residuals / np.sqrt(np.maximum(count * (count - 1), 1))
-    return np.where(known, errors, 0.0)
 
 
 def without_shift(errors: FloatArray, mean: FloatArray) -> FloatArray:

@@ -131,30 +131,21 @@ def baseline_lines(
 def _baseline_line(
     metric: str, own: SpreadRecord | None, paper: Baseline | None
 ) -> BaselineLine:
-    line = BaselineLine(
-        metric=metric,
-        unit="",
-        own_mean=None,
-        own_std=None,
-        own_trial_count=0,
-        published_mean=None,
-        published_std=None,
-        difference=None,
-        flagged=False,
-    )
-    if paper is not None:
-        line["unit"] = paper.unit
-        line["published_mean"], line["published_std"] = paper.mean, paper.std
-    if own is not None:
-        line["unit"], line["own_trial_count"] = own.unit, own.trial_count
-        line["own_mean"], line["own_std"] = own.mean, own.std
+    spread, difference, is_flagged = own or paper, None, False
     if own is not None and paper is not None and paper.mean:
         difference = own.mean / paper.mean - 1.0
-        line["difference"] = difference
-        line["flagged"] = not paper.disputed and abs(difference) > _plausible(
-            own, paper
-        )
-    return line
+        is_flagged = not paper.disputed and abs(difference) > _plausible(own, paper)
+    return BaselineLine(
+        metric=metric,
+        unit=spread.unit if spread else "",
+        own_mean=own.mean if own else None,
+        own_std=own.std if own else None,
+        own_trial_count=own.trial_count if own else 0,
+        published_mean=paper.mean if paper else None,
+        published_std=paper.std if paper else None,
+        difference=difference,
+        flagged=is_flagged,
+    )
 
 
 def _plausible(own: SpreadRecord, paper: Baseline) -> float:

@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.observables.kinds import Observable, coordinate_names
 from gauge_envs.observables.observer import observe_markers
+from gauge_envs.references.band import displacements
 from gauge_envs.references.imported import START_FRAMES
 from gauge_envs.references.published import published_baselines
 from gauge_envs.scene import Markers, Pose
@@ -20,7 +21,6 @@ from gauge_envs.scene.drivers import Driver
 from gauge_envs.scene.geometry import FloatArray, length_of
 from gauge_envs.scoring.reference import reference_band
 from gauge_envs.scoring.user_file.gate import SAME_MM
-from gauge_envs.scoring.user_file.motion_checks import displacements
 from gauge_envs.tools.dataset.findings import TrialError
 from gauge_envs.tools.dataset.trial import PoseTrack, Trial, check_lengths
 

@@ -9,7 +9,7 @@ from gauge_envs.errors import ParameterError
 from gauge_envs.fixtures.recording import DivergedError
 from gauge_envs.formats.usd import surface_constants
 from gauge_envs.scene import GRAVITY_M_PER_S2
-from gauge_envs.scene.fabrics import Fabric, bending_length_m, plate_bending_stiffness
+from gauge_envs.scene.fabrics import Fabric, bending_length_m
 from gauge_envs.tools.conformance import (
     BENT_FREE_M,
     Lab,
@@ -59,7 +59,7 @@ def fabric_of_tests(
     return Fabric(
         stretch_stiffness_n_per_m=stretch_n_per_m,
         shear_stiffness_n_per_m=shear_n_per_m,
-        # On a square grid of hinges, K_theta is B, see plate_bending_stiffness.
+        # On a square grid of hinges, K_theta is B, see `Fabric`.
         bend_stiffness_n_m_per_rad=weight_n_per_m2 * bending_length_m**3,
         thickness_m=thickness_m,
         areal_density_kg_per_m2=areal_density_kg_per_m2,
@@ -96,11 +96,10 @@ def fabric_recipe(
             f"engine {engine!r} has no mapping of fabrics: choose one of {', '.join(known)}"
         )
     mapped = known[engine]
-    hinge = fabric.bend_stiffness_n_m_per_rad
     targets = {
         "stretch_n_per_m": fabric.stretch_stiffness_n_per_m,
         "shear_n_per_m": fabric.shear_stiffness_n_per_m,
-        "bend_n_m": plate_bending_stiffness(hinge_stiffness_n_m_per_rad=hinge),
+        "bend_n_m": fabric.bend_stiffness_n_m_per_rad,
         "bending_length_m": bending_length_m(fabric),
     }
     reached: dict[str, float | None] = {

@@ -3,7 +3,6 @@
 from collections.abc import Iterable, Sequence
 
 import numpy as np
-from scipy.special import stdtrit
 
 from gauge_envs.errors import ParameterError, ResultFileError
 from gauge_envs.experiments.variants import find_variant
@@ -12,6 +11,7 @@ from gauge_envs.runs.configuration import RunConfiguration
 from gauge_envs.runs.result import RecordedTrajectory, Result
 from gauge_envs.runs.result_file import parse_result
 from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scoring.interval import mean_half_width
 from gauge_envs.tools.compare import ScoreComparison, compare
 from gauge_envs.tools.versions.comparison import MIN_LIMIT, NOISE_FACTOR
 from gauge_envs.tools.versions.environments import Arrays, work
@@ -157,11 +157,8 @@ def compare_returns(
     }
     first, second = work("play", job, [before, after])
     changes = second["returns"] - first["returns"]
-    change, half = float(np.mean(changes)), np.nan
-    if seeds > 1:
-        # Student's interval of the mean.
-        error = float(np.std(changes, ddof=1)) / seeds**0.5
-        half = float(stdtrit(seeds - 1, 0.975)) * error
+    change = float(np.mean(changes))
+    half = mean_half_width(changes) if seeds > 1 else np.nan
     return ReturnComparison(
         subject=subject,
         before=before.title,

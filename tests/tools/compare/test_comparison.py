@@ -158,7 +158,7 @@ def as_newton(result, **changes):
 
 
 def ranks(kind):
-    return [score.mean_rank.interval_95 for score in kind.scores]
+    return [mean.interval_95 for mean in kind.mean_ranks.values()]
 
 
 def answer(results):
@@ -186,6 +186,9 @@ def test_a_large_difference_ranks(real):
     # The mean rank is over experiments that all configurations have scored.
     assert trials.ids == (f"GAUGE/{SLIDER}",)
     assert ranks(trials) == [(1, 1), (2, 2)]
+    swapped = compare([altered(real[SLIDER], 1.5), as_newton(real[SLIDER])])
+    *_, table = comparison_document(swapped, is_wide=True).parts
+    assert [row["label"] for row in table.rows] == ["newton", "mujoco"]
     third = replace(wrong, backend="rapier", versions={"rapier": "1.0"})
     results = [real[SLIDER], wrong, third, *map(as_newton, [real[TURNED]])]
     best = "Closest: mujoco on 1 of 1 experiment."
@@ -217,7 +220,7 @@ def test_the_exact_motion_has_a_column_for_each_set_of_constants(real):
 def test_a_score_that_differs_from_its_trajectory_is_not_ranked(real):
     score = replace(real[SLIDER].score, rmse_aligned_normalized=0.3)
     comparison = compare([replace(real[SLIDER], score=score), as_newton(real[SLIDER])])
-    assert len(comparison.kinds[0].scores) == 1
+    assert len(comparison.kinds[0].mean_ranks) == 1
     assert "another reference or motion" in comparison.notes[0]
 
 

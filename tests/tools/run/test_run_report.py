@@ -12,6 +12,13 @@ from gauge_envs.scoring.estimates import ComparedQuantity
 from gauge_envs.scoring.score import Score
 from gauge_envs.tools.run.report import cause_text, motion_text, summary_document
 
+
+def measured(value, unit, real, real_uncertainty):
+    return ComparedQuantity(
+        value=value, unit=unit, real=real, real_uncertainty=real_uncertainty
+    )
+
+
 NONE = Score(kind="none", unit="mm")
 
 SLIDE = Score(
@@ -26,11 +33,7 @@ SLIDE = Score(
     rmse_aligned=3.33,
     rmse_aligned_normalized=4.95,
     real_limit=1.0,
-    estimates={
-        "friction": ComparedQuantity(
-            value=0.27318, unit="1", real=0.25702, real_uncertainty=0.0061
-        )
-    },
+    estimates={"friction": measured(0.27318, "1", 0.25702, 0.0061)},
 )
 
 SWING = Score(
@@ -43,11 +46,9 @@ SWING = Score(
     solution_motion=300.0,
     rmse=86.3,
     events={
-        "pd": ComparedQuantity(value=1.23, unit="s", real=1.14, real_uncertainty=0.015),
+        "pd": measured(1.23, "s", 1.14, 0.015),
         "el": ComparedQuantity(value=0.0, unit="1", real=0.0),
-        "turning_ratio": ComparedQuantity(
-            value=1.0, unit="1", real=0.925, real_uncertainty=0.034
-        ),
+        "turning_ratio": measured(1.0, "1", 0.925, 0.034),
     },
 )
 
@@ -78,15 +79,13 @@ def test_the_summary_shows_the_quantity_farthest_from_reality(score, text):
 
 
 def test_the_summary_shows_events_of_recordings_and_missing_events():
-    swing = ComparedQuantity(value=2.5, unit="Hz", real=1.68, real_uncertainty=0.08)
+    swing = measured(2.5, "Hz", 1.68, 0.08)
     score = replace(NONE, events={"swing_frequency_hz": swing})
     assert motion_text(score) == "swings at 2.5 Hz; the recording 1.68 +- 0.08 Hz"
-    absent = ComparedQuantity(value=None, unit="mm", real=9.8, real_uncertainty=3.9)
+    absent = measured(None, "mm", 9.8, 3.9)
     score = replace(NONE, events={**SWING.events, "cube_lag_mm": absent})
     assert motion_text(score) == "cube lag does not happen; the recording 9.8 +- 3.9 mm"
-    droop = ComparedQuantity(
-        value=15.084, unit="mm", real=16.158, real_uncertainty=0.009
-    )
+    droop = measured(15.084, "mm", 16.158, 0.009)
     score = replace(NONE, estimates={"droop": droop})
     text = "droops by 15.1 mm; real trials 16.2 +- 0.009 mm"
     assert motion_text(score) == text
@@ -122,7 +121,7 @@ def test_the_cause_of_a_distance_is_a_sentence(cause, text):
 def test_a_cause_names_the_constants_that_differ_from_reality():
     score = replace(SLIDE, cause=DistanceCause.CONSTANTS)
     assert "the given friction is wrong" in cause_text(score, {"cube.friction": 0.1})
-    right = ComparedQuantity(value=0.26, unit="1", real=0.257, real_uncertainty=0.006)
+    right = measured(0.26, "1", 0.257, 0.006)
     score = replace(score, estimates={"friction": right})
     text = "the constants or the start of the scene are wrong"
     assert text in cause_text(score, "measured")

@@ -10,7 +10,6 @@ import pytest
 
 from gauge_envs.errors import GaugeError, ResultFileError
 from gauge_envs.runs.batch import run_many
-from gauge_envs.runs.episodes import run_episode
 from gauge_envs.runs.motion import load_motion, motion_file
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result_file import load_result, recorded_experiment, write_result
@@ -104,18 +103,6 @@ def test_links_lead_to_files_of_the_site_and_pages_load_nothing_else(site):
     for file in (*pages, site / "assets" / "motion_view.js"):
         text = re.sub(r"base64,[^\"]*", "", file.read_text())
         assert not re.search(r"https?://|//[a-z]+\.[a-z]|@import|url\(", text)
-
-
-@pytest.mark.parametrize("is_same", [True, False], ids=["same run", "other friction"])
-def test_configurations_with_the_same_constants_are_ranked(is_same, tmp_path, slide):
-    # The default step as a given setting is another configuration with the same run.
-    same = {"settings": {"timestep_s": slide.settings["timestep_s"]}}
-    changes = same if is_same else {"parameters": {"cube.friction": 0.05}}
-    rerun = run_episode(RunRequest(SLIDE, **changes))
-    files = {tmp_path / "a.json": slide, tmp_path / "b.json": rerun}
-    save_site(files, tmp_path / "site", motion_views=False)
-    page = Page(tmp_path / "site" / f"experiment-{SLIDE}.html").text
-    assert ("1.5 [1.0, 2.0]" in page) == is_same
 
 
 def test_texts_of_a_result_file_are_escaped(slide, tmp_path):
