@@ -251,6 +251,7 @@ def _notes(report: Report, *, is_all: bool) -> list[Part]:
     """Return what the reader might miss, what the model leaves open, and where to read on."""
     configuration = report.configuration
     texts = [f"MuJoCo warns: {text}" for text in configuration.warnings]
+    texts += report.notes
     if is_all:
         texts += configuration.notes
     lines: list[Part] = [Paragraph(f"note: {text}", Tone.WARNING) for text in texts]

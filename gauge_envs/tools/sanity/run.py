@@ -51,7 +51,8 @@ def check(
         results.append(check_result(measurements, configuration, name))
         if notify is not None:
             notify(results[-1])
-    results = absorb(accept(results, configuration))
+    results, notes = accept(results, configuration)
+    results = absorb(results)
     robot = configuration.robot if explain else None
     if robot is not None:
         results = [with_fix(result, robot) for result in results]
@@ -60,6 +61,7 @@ def check(
         checks=tuple(results),
         versions={**measurements.versions, **package_versions()},
         asked=tuple(name for name in chosen if name in only),
+        notes=notes,
     )
     if robot is not None:
         report = FixSearch(report, robot, measurements).run()

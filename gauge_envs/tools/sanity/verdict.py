@@ -269,6 +269,7 @@ class Report:
         fix: The change that resolves most failed checks and warnings; None when no change resolves one.
         trade: How many changes were tried, when none resolves a check without harm; empty otherwise.
         asked: Ids of checks that were requested by their full id.
+        notes: Sentences on entries that accept no finding.
         screen: What `gauge sanity` prints, which JSON leaves out.
     """
 
@@ -278,6 +279,7 @@ class Report:
     fix: Fix | None = None
     trade: str = ""
     asked: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
     screen: str = ""
 
     @property
