@@ -224,7 +224,7 @@ def test_a_finding_is_accepted_with_a_reason(tmp_path, monkeypatch):
     (tmp_path / "gauge.toml").write_text('[sanity.accept]\ndensity = "a weight"')
     assert density_of(tmp_path, HEAVY).accepted == "a weight"
     (tmp_path / "gauge.toml").write_text('[sanity.accept]\ndensity = ""')
-    with pytest.raises(TargetError, match="gauge.toml: density is accepted without"):
+    with pytest.raises(TargetError, match="toml: density is accepted without"):
         density_of(tmp_path, HEAVY)
 
 
