@@ -82,6 +82,14 @@ class Drive(NamedTuple):
             return self.limit
         return self.kp * SERVO_ERROR_RAD * self.scale
 
+    @property
+    def reach(self) -> float:
+        """Force of its servo where the joint is at its farther stop; infinite without servo or stops."""
+        model = self.robot.model
+        travel = model.jnt_range[self.joint] - self.robot.stance.qpos[model.jnt_qposadr[self.joint]]
+        is_stopped = model.jnt_limited[self.joint] and self.kp
+        return self.kp * float(np.abs(travel).max()) if is_stopped else np.inf
+
     def faults(
         self,
         ratio: float,

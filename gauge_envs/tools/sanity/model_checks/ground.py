@@ -165,10 +165,15 @@ def hold_pose(robot: Robot) -> tuple[float, FloatArray]:
 def holding_force(robot: Robot) -> Iterator[Fault]:
     """Yield joints whose motor is too weak where the robot rests."""
     model = robot.model
-    limited = [drive for drive in drives(robot) if np.isfinite(drive.limit)]
+    is_standing = robot.standing is not None
+    limits = {
+        drive: min(drive.limit, drive.reach if is_standing else np.inf)
+        for drive in drives(robot)
+    }
+    limited = [drive for drive in limits if np.isfinite(limits[drive])]
     if not limited:
         raise NotApplicableError("no motor of a joint has a torque limit")
-    if robot.standing is not None:
+    if is_standing:
         height_ratio, forces = hold_pose(robot)
         needed = forces / SATURATED * (height_ratio <= FELL)
         verb = "the robot falls while"
@@ -182,9 +187,11 @@ def holding_force(robot: Robot) -> Iterator[Fault]:
         limited = [drive for drive in limited if model.nkey or drive.kp]
         verb = "at rest"
     for drive in limited:
-        force, unit = needed[drive.dof], drive.units[0]
-        text = f"{verb} {drive.name} takes {force:.4g} {unit}; its motor makes {drive.limit:.4g} {unit}"
-        yield from drive.faults(force / drive.limit, text)
+        force, limit, unit = needed[drive.dof], limits[drive], drive.units[0]
+        text = f"{verb} {drive.name} takes {force:.4g} {unit}; its motor makes {limit:.4g} {unit}"
+        if limit < drive.limit:
+            text += f" within its range, with kp {drive.kp:.4g}"
+        yield from drive.faults(force / limit, text)
 
 
 @model_check(
