@@ -9,7 +9,7 @@ from gauge_envs.registry import package_versions
 from gauge_envs.tools.sanity.accepted import accept
 from gauge_envs.tools.sanity.causes import absorb
 from gauge_envs.tools.sanity.fixes.fix import FixSearch
-from gauge_envs.tools.sanity.fixes.named import with_fix
+from gauge_envs.tools.sanity.fixes.named import with_fixes
 from gauge_envs.tools.sanity.object_checks.measure import Measurements
 from gauge_envs.tools.sanity.readers import configuration as configuration_of
 from gauge_envs.tools.sanity.readers.gymnasium_env import Target
@@ -55,7 +55,7 @@ def check(
     results = absorb(results)
     robot = configuration.robot if explain else None
     if robot is not None:
-        results = [with_fix(result, robot) for result in results]
+        results = with_fixes(results, configuration)
     report = Report(
         configuration=configuration,
         checks=tuple(results),

@@ -10,46 +10,90 @@ from typing import Any
 import numpy as np
 
 from gauge_envs.backends.mujoco.contact_table import contact_pairs
+from gauge_envs.tools.sanity.causes import EFFECTS
 from gauge_envs.tools.sanity.fixes.harm import motion_harm
 from gauge_envs.tools.sanity.fixes.text_change import TextChange
 from gauge_envs.tools.sanity.model_checks.check import Change
 from gauge_envs.tools.sanity.model_checks.joints import joint_brakes
 from gauge_envs.tools.sanity.robot.robot import Place, Robot, spec_element
+from gauge_envs.tools.sanity.robot.standing import find_standing
 from gauge_envs.tools.sanity.static_rules import STATIC_RULES
 from gauge_envs.tools.sanity.target_checks import TARGET_CHECKS
-from gauge_envs.tools.sanity.verdict import SanityResult
+from gauge_envs.tools.sanity.training import TrainingConfiguration
+from gauge_envs.tools.sanity.verdict import SanityResult, SanityVerdict, Severity
 
 SPEC_NAMES = {"joint": "target", "actuatorfrcrange": "actfrcrange"}
 """Attributes of MJCF that have another name in a spec."""
+
+SEVERE = (Severity.WARNING, Severity.ERROR)
 
 POLYNOMIALS = ("damping", "stiffness")
 """Attributes whose higher coefficients a file may leave out."""
 
 
-def with_fix(result: SanityResult, robot: Robot) -> SanityResult:
-    """Return a result with the change of the attributes that it names; without one that does not help, or harms."""
+def with_fixes(
+    results: Sequence[SanityResult], configuration: TrainingConfiguration
+) -> list[SanityResult]:
+    """Return results with the changes of the attributes that they name; without those that do not help, or harm.
+
+    Advice whose change makes errors and warnings pass is their cause.
+    """
+    found = {result.id: result for result in results}
+    robot = configuration.robot
+    assert robot is not None, "only a model has fixes"
+    for name in found:
+        if (corrected := _tried(found[name], robot)) is None:
+            continue
+        changes = TARGET_CHECKS[name].finding(robot).changes
+        cause = found[name] = replace(found[name], fix=_fix_text(changes, robot))
+        flags = [flag for flag in found.values() if flag.severity in SEVERE]
+        if not (cause.severity is Severity.ADVICE and flags):
+            continue
+        after = replace(configuration, robot=corrected)
+        cured = [
+            flag
+            for flag in found.values()
+            if flag.is_flag and flag.is_on_target and flag.id != name
+            if TARGET_CHECKS[flag.id].result(after).verdict is SanityVerdict.PASSED
+        ]
+        if worst := {flag.verdict for flag in cured if flag in flags}:
+            found |= {flag.id: replace(flag, cause=name) for flag in cured}
+            found[name] = replace(
+                cause,
+                is_usual=False,
+                verdict=max(worst, key=[*SanityVerdict].index),
+                effects=tuple(EFFECTS[flag.id] for flag in cured if flag.id in EFFECTS),
+            )
+    return [*found.values()]
+
+
+def _tried(result: SanityResult, robot: Robot) -> Robot | None:
+    """Return the robot with the changes that a result names; None where they do not help, or harm."""
     check = TARGET_CHECKS.get(result.id)
     if check is None or not result.is_flag or robot.spec is None:
-        return result
+        return None
     changes = check.finding(robot).changes
     corrected = _corrected(robot, changes) if changes else None
     if corrected is None:
-        return result
+        return None
     counts = [
         rule.finding(corrected).value - rule.finding(robot).value
         for rule in (*STATIC_RULES, joint_brakes)
     ]
     is_left = check.deviation(check.finding(corrected).value) > 1.0
     if is_left or max(counts) > 0.0 or motion_harm(robot, corrected):
-        return result
+        return None
+    return corrected
+
+
+def _fix_text(changes: Sequence[tuple[Place, Change]], robot: Robot) -> str:
+    """Return the first change, and the number of others."""
     (place, change), *others = changes
     more = f"; {len(others)} more" if others else ""
     key, value = change
     if key == "exclude":
-        text = f'contact: <exclude body1="{value[0]}" body2="{value[1]}"/>'
-    else:
-        text = f'{robot.place_text(place)}: {key}="{_text(*change)}"'
-    return replace(result, fix=f"{text}{more}")
+        return f'contact: <exclude body1="{value[0]}" body2="{value[1]}"/>{more}'
+    return f'{robot.place_text(place)}: {key}="{_text(*change)}"{more}'
 
 
 def _corrected(robot: Robot, changes: Sequence[tuple[Place, Change]]) -> Robot | None:
@@ -67,7 +111,8 @@ def _corrected(robot: Robot, changes: Sequence[tuple[Place, Change]]) -> Robot |
             model = spec.compile()
     except ValueError:
         return None
-    return replace(robot, model=model, spec=spec, pairs=contact_pairs(model))
+    robot = replace(robot, model=model, spec=spec, pairs=contact_pairs(model))
+    return replace(robot, standing=find_standing(robot))
 
 
 def _text(key: str, value: Any) -> str:

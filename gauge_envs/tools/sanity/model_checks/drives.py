@@ -86,7 +86,10 @@ class Drive(NamedTuple):
     def reach(self) -> float:
         """Force of its servo where the joint is at its farther stop; infinite without servo or stops."""
         model = self.robot.model
-        travel = model.jnt_range[self.joint] - self.robot.stance.qpos[model.jnt_qposadr[self.joint]]
+        travel = (
+            model.jnt_range[self.joint]
+            - self.robot.stance.qpos[model.jnt_qposadr[self.joint]]
+        )
         is_stopped = model.jnt_limited[self.joint] and self.kp
         return self.kp * float(np.abs(travel).max()) if is_stopped else np.inf
 

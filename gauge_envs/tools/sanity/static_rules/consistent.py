@@ -273,7 +273,7 @@ TRAITS = (
     Trait("actuator", "force limit", "forcerange", 1.25, "forcerange"),
     Trait("geom", "friction", "friction", change="friction"),
     Trait("geom", "condim", "condim", 1.1, "condim"),
-    Trait("geom", "collision", "contype"),
+    Trait("geom", "collision", "contype", change="contype"),
 )
 
 
