@@ -19,7 +19,6 @@ EFFECTS = {
     "model-creep": "it creeps at rest",
     "model-spin": "it turns by itself in flight",
     "robot-energy": "it gains energy",
-    "model-solver": "the solver does not converge",
 }
 """What follows from a wrong joint or body, by the check that shows it."""
 
