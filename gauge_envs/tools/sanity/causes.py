@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from gauge_envs.tools.sanity.target_checks import READ
-from gauge_envs.tools.sanity.verdict import SanityResult, SanityVerdict
+from gauge_envs.tools.sanity.verdict import SanityResult, SanityVerdict, Severity
 
 EFFECTS = {
     "robot-holds": "its state diverges",
@@ -28,8 +28,10 @@ HARMLESS = (
     "stated-friction",
     "stated-margin",
     "stated-solref",
+    "command-range",
+    "imu-frame",
 )
-"""Static rules that explain no motion at rest."""
+"""Static rules whose warnings explain no motion at rest."""
 
 CAUSES = {check.id for check in READ} | {"robot-torque"}
 """Checks that explain later ones."""
@@ -60,11 +62,25 @@ def absorb(results: Sequence[SanityResult]) -> list[SanityResult]:
     return [*found.values()]
 
 
+def causes_first(flags: Sequence[SanityResult]) -> list[SanityResult]:
+    """Return findings by severity; advice that may be the cause stands in front of what the run shows."""
+    order = [*Severity]
+    found = sorted(flags, key=lambda flag: -order.index(flag.severity))
+    advice = [flag for flag in found if flag.severity is Severity.ADVICE]
+    shown = [flag for flag in found if flag.id in EFFECTS and flag not in advice]
+    if not shown:
+        return found
+    front = [flag for flag in advice if flag.id in CAUSES and flag.id not in HARMLESS]
+    place = found.index(shown[0])
+    return [*found[:place], *front, *(f for f in found[place:] if f not in front)]
+
+
 def _explains(cause: SanityResult, effect: SanityResult) -> bool:
     """Return whether a finding explains a later one."""
     if not (cause.id in CAUSES and cause.is_flag and effect.is_flag):
         return False
-    if cause.id in HARMLESS or cause.is_usual:
+    is_slight = cause.verdict is SanityVerdict.WARNING
+    if cause.is_usual or (is_slight and cause.id in HARMLESS):
         return False
     if cause.id == "range-unit" and effect.id.startswith("start-"):
         return True

@@ -279,8 +279,22 @@ def test_what_is_unusual_is_advice_beside_what_the_run_shows(tmp_path):
     assert [*report.flags] == ["density", "robot-torque"]
     assert [*report.warnings] == ["robot-torque"] and not report.errors
     lines = report.screen.strip().splitlines()
-    assert "robot-torque" not in lines[0] and "takes" in lines[2]
-    assert lines[3].startswith("Advice:") and "kg/m^3" in lines[4]
+    assert lines[1].startswith("Advice:") and "kg/m^3" in lines[2]
+    assert lines[3].startswith("Run:") and "takes" in lines[4]
+
+
+def test_advice_whose_correction_cures_a_fall_is_its_cause(tmp_path):
+    text, off = good_xml(), ' contype="0" conaffinity="0"'
+    for geom in ('geom name="FL_foot"', 'geom name="FL_calf"'):
+        assert geom in text
+        text = text.replace(geom, geom + off)
+    (tmp_path / "robot.xml").write_text(text)
+    report = check(str(tmp_path / "robot.xml"), only=["mirror", "robot-*"])
+    assert [*report.flags] == [*report.warnings] == ["mirror"]
+    assert report.warnings["mirror"].fix == 'geom "FL_calf": contype="1"; 1 more'
+    assert "also: it falls or jumps" in report.screen
+    causes = {result.id: result.cause for result in report.checks}
+    assert causes["robot-stands"] == causes["robot-feet"] == "mirror"
 
 
 def check_of(folder, xml, *only):

@@ -36,7 +36,7 @@ def with_fixes(
 ) -> list[SanityResult]:
     """Return results with the changes of the attributes that they name; without those that do not help, or harm.
 
-    Advice whose change makes errors and warnings pass is their cause.
+    Advice whose change makes errors and warnings of runs pass is their cause.
     """
     found = {result.id: result for result in results}
     robot = configuration.robot
@@ -46,17 +46,18 @@ def with_fixes(
             continue
         changes = TARGET_CHECKS[name].finding(robot).changes
         cause = found[name] = replace(found[name], fix=_fix_text(changes, robot))
-        flags = [flag for flag in found.values() if flag.severity in SEVERE]
-        if not (cause.severity is Severity.ADVICE and flags):
+        runs = {n for n in EFFECTS if n in found and found[n].severity in SEVERE}
+        if not (cause.severity is Severity.ADVICE and runs):
             continue
         after = replace(configuration, robot=corrected)
         cured = [
             flag
             for flag in found.values()
             if flag.is_flag and flag.is_on_target and flag.id != name
+            if flag.id in EFFECTS or flag.is_usual
             if TARGET_CHECKS[flag.id].result(after).verdict is SanityVerdict.PASSED
         ]
-        if worst := {flag.verdict for flag in cured if flag in flags}:
+        if worst := {flag.verdict for flag in cured if flag.id in runs}:
             found |= {flag.id: replace(flag, cause=name) for flag in cured}
             found[name] = replace(
                 cause,
