@@ -16,8 +16,8 @@ from gauge_envs.tools.sanity.static_rules import STATIC_RULES
 
 READ: tuple[ModelCheck, ...] = (
     ground.gravity,
-    ground.feet,
     *STATIC_RULES,
+    ground.feet,
     joints.joint_brakes,
     joints.servo_response,
 )

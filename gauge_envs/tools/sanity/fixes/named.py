@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from gauge_envs.backends.mujoco.contact_table import contact_pairs
-from gauge_envs.tools.sanity.causes import EFFECTS
+from gauge_envs.tools.sanity.causes import EFFECTS, absorb
 from gauge_envs.tools.sanity.fixes.harm import motion_harm
 from gauge_envs.tools.sanity.fixes.text_change import TextChange
 from gauge_envs.tools.sanity.model_checks.check import Change
@@ -36,36 +36,26 @@ def with_fixes(
 ) -> list[SanityResult]:
     """Return results with the changes of the attributes that they name; without those that do not help, or harm.
 
-    Advice whose change makes errors and warnings of runs pass is their cause.
+    Advice whose change makes all runs pass is the cause of what they show.
     """
-    found = {result.id: result for result in results}
-    robot = configuration.robot
+    found, robot = list(results), configuration.robot
     assert robot is not None, "only a model has fixes"
-    for name in found:
-        if (corrected := _tried(found[name], robot)) is None:
+    runs = [r.id for r in results if r.id in EFFECTS and r.severity in SEVERE]
+    for number, result in enumerate(results):
+        if (corrected := _tried(result, robot)) is None:
             continue
-        changes = TARGET_CHECKS[name].finding(robot).changes
-        cause = found[name] = replace(found[name], fix=_fix_text(changes, robot))
-        runs = {n for n in EFFECTS if n in found and found[n].severity in SEVERE}
-        if not (cause.severity is Severity.ADVICE and runs):
-            continue
+        changes = TARGET_CHECKS[result.id].finding(robot).changes
         after = replace(configuration, robot=corrected)
-        cured = [
-            flag
-            for flag in found.values()
-            if flag.is_flag and flag.is_on_target and flag.id != name
-            if flag.id in EFFECTS or flag.is_usual
-            if TARGET_CHECKS[flag.id].result(after).verdict is SanityVerdict.PASSED
-        ]
-        if worst := {flag.verdict for flag in cured if flag.id in runs}:
-            found |= {flag.id: replace(flag, cause=name) for flag in cured}
-            found[name] = replace(
-                cause,
-                is_usual=False,
-                verdict=max(worst, key=[*SanityVerdict].index),
-                effects=tuple(EFFECTS[flag.id] for flag in cured if flag.id in EFFECTS),
-            )
-    return [*found.values()]
+        is_cause = runs and all(
+            TARGET_CHECKS[run].result(after).verdict is SanityVerdict.PASSED
+            for run in runs
+        )
+        found[number] = replace(
+            result,
+            fix=_fix_text(changes, robot),
+            is_usual=result.is_usual and not is_cause,
+        )
+    return absorb(found)
 
 
 def _tried(result: SanityResult, robot: Robot) -> Robot | None:

@@ -261,10 +261,10 @@ TRAITS = (
     Trait("body", "inertia [kg m^2]", "inertia", 2.0),
     Trait("joint", "type", "type", 1.1),
     Trait("joint", "range", "range", 1.25, "range"),
-    Trait("joint", "damping", "damping", change="damping"),
-    Trait("joint", "frictionloss", "frictionloss", change="frictionloss"),
-    Trait("joint", "armature", "armature", change="armature"),
-    Trait("joint", "stiffness", "stiffness", change="stiffness"),
+    *(
+        Trait("joint", key, key, change=key)
+        for key in ("damping", "frictionloss", "armature", "stiffness")
+    ),
     Trait("joint", "motor limit", "actfrcrange", 1.25, "actuatorfrcrange"),
     Trait("actuator", "gain", "gainprm"),
     Trait("actuator", "damping", "biasprm"),
