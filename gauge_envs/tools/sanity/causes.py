@@ -33,7 +33,9 @@ HARMLESS = (
 )
 """Static rules whose warnings explain no motion at rest."""
 
-CAUSES = {check.id for check in READ} | {"robot-torque"}
+READ_IDS = {check.id for check in READ}
+
+CAUSES = READ_IDS | {"robot-torque"}
 """Checks that explain later ones."""
 
 
@@ -63,16 +65,16 @@ def absorb(results: Sequence[SanityResult]) -> list[SanityResult]:
 
 
 def causes_first(flags: Sequence[SanityResult]) -> list[SanityResult]:
-    """Return findings by severity; advice that may be the cause stands in front of what the run shows."""
+    """Return findings by stage and severity; advice that may be the cause stands in front of what the run shows."""
     order = [*Severity]
-    found = sorted(flags, key=lambda flag: -order.index(flag.severity))
-    advice = [flag for flag in found if flag.severity is Severity.ADVICE]
-    shown = [flag for flag in found if flag.id in EFFECTS and flag not in advice]
-    if not shown:
-        return found
-    front = [flag for flag in advice if flag.id in CAUSES and flag.id not in HARMLESS]
-    place = found.index(shown[0])
-    return [*found[:place], *front, *(f for f in found[place:] if f not in front)]
+
+    def rank(flag: SanityResult) -> tuple[int, int]:
+        stage = 2 * (flag.id not in READ_IDS)
+        if flag.severity is Severity.ADVICE:
+            stage = 3 if stage or flag.id in HARMLESS else 1
+        return stage, -order.index(flag.severity)
+
+    return sorted(flags, key=rank)
 
 
 def _explains(cause: SanityResult, effect: SanityResult) -> bool:

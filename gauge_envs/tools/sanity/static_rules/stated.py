@@ -17,7 +17,6 @@ from gauge_envs.tools.sanity.robot.robot import (
     name_of,
     switched_off,
 )
-from gauge_envs.tools.sanity.verdict import Severity
 
 # --- contacts --------------------------------------------------------------------------------------------------------
 
@@ -186,31 +185,6 @@ def _condims(robot: Robot) -> FloatArray:
     condims = np.zeros(robot.model.ngeom)
     np.maximum.at(condims, robot.pairs.geoms, robot.pairs.constants[:, :1])
     return condims
-
-
-LEVER, MIN_TIP_M = 3.0, 0.0025
-"""Largest lever over the size of a geom, which may be a part of a pad, and size of a point of a pad [m]."""
-
-
-@rule(
-    "friction-lever",
-    title="torsional friction over the size of a part",
-    source="an even disc has a lever of two thirds of its radius, and no contact is larger than the part",
-    consequence="Feet and fingers hold as if glued: they neither turn nor roll.",
-    most=Severity.ADVICE,
-)
-def lever(robot: Robot) -> Iterator[Fault]:
-    """Yield geoms of a robot whose torsional friction, a length, exceeds their size."""
-    model, levers_m = robot.model, robot.model.geom_friction[:, 1]
-    sizes_m = model.geom_rbound
-    is_felt = np.isin(model.geom_bodyid, robot.bodies) & (_condims(robot) > 3)
-    is_felt &= (sizes_m > MIN_TIP_M) & (levers_m > LEVER * sizes_m)
-    for geom in np.flatnonzero(is_felt).tolist():
-        name, (sliding, lever_m) = geom_name(model, geom), model.geom_friction[geom, :2]
-        text = f"{name} of {1e3 * sizes_m[geom]:.3g} mm resists turning with a lever of {1e3 * lever_m:.3g} mm"
-        if lever_m > sliding:
-            text += ": friction is in the order sliding, torsion, rolling"
-        yield Fault(("geom", geom), name, text, lever_m / sizes_m[geom])
 
 
 # --- actuators and gravity compensation ------------------------------------------------------------------------------
