@@ -6,8 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from gauge_envs.registry import package_versions
-from gauge_envs.tools.sanity.accepted import accept
-from gauge_envs.tools.sanity.causes import absorb
+from gauge_envs.tools.sanity.causes import absorb, accept
 from gauge_envs.tools.sanity.fixes.fix import FixSearch
 from gauge_envs.tools.sanity.fixes.named import with_fixes
 from gauge_envs.tools.sanity.object_checks.measure import Measurements
@@ -15,9 +14,8 @@ from gauge_envs.tools.sanity.readers import configuration as configuration_of
 from gauge_envs.tools.sanity.readers.gymnasium_env import Target
 from gauge_envs.tools.sanity.report import screen_text
 from gauge_envs.tools.sanity.robot.robot import mujoco_warnings
-from gauge_envs.tools.sanity.selection import check_result, selection
-from gauge_envs.tools.sanity.training import TrainingConfiguration
-from gauge_envs.tools.sanity.verdict import Report, SanityResult
+from gauge_envs.tools.sanity.target_checks import check_result, selection
+from gauge_envs.tools.sanity.verdict import Report, SanityResult, TrainingConfiguration
 
 
 @mujoco_warnings()

@@ -6,7 +6,7 @@ from robot_faults import good_xml
 from gauge_envs.errors import TargetError
 from gauge_envs.tools.sanity import check, configuration
 from gauge_envs.tools.sanity.static_rules import STATIC_RULES
-from gauge_envs.tools.sanity.static_rules.sides import side_of
+from gauge_envs.tools.sanity.static_rules.consistent import side_of
 
 ARM = """<mujoco><compiler {angle}/><option timestep=".002" {option}/><worldbody>
   <geom name="floor" type="plane" size="1 1 .1" {floor}/>

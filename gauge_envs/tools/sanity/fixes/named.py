@@ -15,17 +15,22 @@ from gauge_envs.tools.sanity.fixes.harm import motion_harm
 from gauge_envs.tools.sanity.fixes.text_change import TextChange
 from gauge_envs.tools.sanity.model_checks.check import Change
 from gauge_envs.tools.sanity.model_checks.joints import joint_brakes
-from gauge_envs.tools.sanity.robot.robot import Place, Robot, spec_element
-from gauge_envs.tools.sanity.robot.standing import find_standing
+from gauge_envs.tools.sanity.robot.robot import (
+    Place,
+    Robot,
+    find_standing,
+    spec_element,
+)
 from gauge_envs.tools.sanity.static_rules import STATIC_RULES
 from gauge_envs.tools.sanity.target_checks import TARGET_CHECKS
-from gauge_envs.tools.sanity.training import TrainingConfiguration
-from gauge_envs.tools.sanity.verdict import SanityResult, SanityVerdict, Severity
+from gauge_envs.tools.sanity.verdict import (
+    SanityResult,
+    SanityVerdict,
+    TrainingConfiguration,
+)
 
 SPEC_NAMES = {"joint": "target", "actuatorfrcrange": "actfrcrange"}
 """Attributes of MJCF that have another name in a spec."""
-
-SEVERE = (Severity.WARNING, Severity.ERROR)
 
 POLYNOMIALS = ("damping", "stiffness")
 """Attributes whose higher coefficients a file may leave out."""
@@ -40,7 +45,7 @@ def with_fixes(
     """
     found, robot = list(results), configuration.robot
     assert robot is not None, "only a model has fixes"
-    runs = [r.id for r in results if r.id in EFFECTS and r.severity in SEVERE]
+    runs = [r.id for r in results if r.id in EFFECTS and r.is_flag and not r.is_usual]
     for number, result in enumerate(results):
         if (corrected := _tried(result, robot)) is None:
             continue

@@ -9,8 +9,7 @@ import mujoco
 import numpy as np
 
 from gauge_envs.scene.geometry import BoolArray, FloatArray
-from gauge_envs.tools.sanity.model_checks.check import Change
-from gauge_envs.tools.sanity.model_checks.rule import Fault
+from gauge_envs.tools.sanity.model_checks.check import Change, Fault
 from gauge_envs.tools.sanity.robot.robot import (
     Robot,
     acts_on_joints,

@@ -9,7 +9,7 @@ import numpy as np
 
 from gauge_envs.backends.mujoco.contact_table import COLUMNS, PairKind, can_move
 from gauge_envs.scene.geometry import FloatArray
-from gauge_envs.tools.sanity.model_checks.rule import Fault, rule
+from gauge_envs.tools.sanity.model_checks.check import Fault, rule
 from gauge_envs.tools.sanity.robot.robot import (
     Robot,
     free_objects,
