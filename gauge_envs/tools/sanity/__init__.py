@@ -23,15 +23,13 @@ from gauge_envs.registry import lazy_names
 if TYPE_CHECKING:
     from gauge_envs.tools.sanity.readers import configuration as configuration
     from gauge_envs.tools.sanity.run import check as check
-    from gauge_envs.tools.sanity.training import (
-        TrainingConfiguration as TrainingConfiguration,
-    )
     from gauge_envs.tools.sanity.verdict import (
         Fix as Fix,
         Reality as Reality,
         Report as Report,
         SanityResult as SanityResult,
         SanityVerdict as SanityVerdict,
+        TrainingConfiguration as TrainingConfiguration,
     )
     from gauge_envs.tools.sanity.wrapper import (
         SanityWarning as SanityWarning,
@@ -43,8 +41,10 @@ else:
         {
             ".readers": ["configuration"],
             ".run": ["check"],
-            ".training": ["TrainingConfiguration"],
-            ".verdict": ["Fix", "Reality", "Report", "SanityResult", "SanityVerdict"],
+            ".verdict": [
+                *("Fix", "Reality", "Report", "SanityResult", "SanityVerdict"),
+                "TrainingConfiguration",
+            ],
             ".wrapper": ["SanityWarning", "SanityWrapper"],
         },
     )

@@ -1,12 +1,99 @@
-"""Find the cause of a finding: what follows from a wrong joint or body is part of that finding."""
+"""Join findings to their causes, and accept findings with a reason: in `gauge.toml`, or in a comment of the model.
+
+What follows from a wrong joint or body is part of that finding.
+
+```toml
+[sanity.accept]
+"density:finger_l" = "fingers of tungsten"
+```
+
+```xml
+<!-- gauge: accept density:finger_l: fingers of tungsten -->
+```
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import re
+import tomllib
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 
-from gauge_envs.tools.sanity.target_checks import READ
-from gauge_envs.tools.sanity.verdict import SanityResult, SanityVerdict
+from gauge_envs.errors import TargetError
+from gauge_envs.names import nearest
+from gauge_envs.tools.sanity.target_checks import READ, selection
+from gauge_envs.tools.sanity.verdict import (
+    SanityResult,
+    SanityVerdict,
+    Severity,
+    TrainingConfiguration,
+)
+
+COMMENT = re.compile(
+    r"<!--\s*gauge: accept\s+([^\s:]+(?::[^\s:][^:]*?)?)(?::\s*(.*?))?\s*-->", re.DOTALL
+)
+
+FILE = Path("gauge.toml")
+"""File of the working directory with the findings that are accepted."""
+
+
+def accept(
+    results: Sequence[SanityResult], configuration: TrainingConfiguration
+) -> tuple[list[SanityResult], tuple[str, ...]]:
+    """Return results in which findings with a reason are accepted, and sentences on entries that accept nothing.
+
+    A finding has a reason if its check, or each of its elements, has one.
+
+    Raises:
+        TargetError: An entry has no reason, or the file cannot be read.
+    """
+    entries = [*_entries(configuration)]
+    for file, name, reason in entries:
+        if not reason:
+            raise TargetError(
+                f"{file}: {name} is accepted without a reason: state why it is right"
+            )
+    reasons = {name: reason for _, name, reason in entries}
+    flags = [result for result in results if result.verdict.is_off]
+    findings = {name for flag in flags for name in (flag.id, *_elements(flag))}
+    left_out = {*selection()} - {result.id for result in results}
+    notes = tuple(
+        f"{file}: {name} accepts no finding: {nearest(name, findings)}"
+        for file, name, _ in entries
+        if name not in findings and name.partition(":")[0] not in left_out
+    )
+    return [replace(r, accepted=_reason(r, reasons)) for r in results], notes
+
+
+def _entries(configuration: TrainingConfiguration) -> Iterator[tuple[str, str, str]]:
+    """Yield file, name of a finding as `density` or `density:finger_l`, and the reason of each entry."""
+    robot = configuration.robot
+    if robot is not None and robot.text is not None:
+        for file, text in robot.text.texts.items():
+            yield from ((file.name, *entry) for entry in COMMENT.findall(text))
+    if FILE.is_file():
+        try:
+            table = tomllib.loads(FILE.read_text(encoding="utf-8"))
+            accepted = table.get("sanity", {}).get("accept", {}).items()
+        except (ValueError, AttributeError) as error:
+            raise TargetError(f"{FILE}: {error}") from None
+        yield from ((str(FILE), *entry) for entry in accepted)
+
+
+def _elements(result: SanityResult) -> list[str]:
+    """Return the names of a finding with each of its elements."""
+    return [f"{result.id}:{part.name}" for part in result.parts if part.verdict.is_off]
+
+
+def _reason(result: SanityResult, reasons: Mapping[str, str]) -> str:
+    """Return why a finding is accepted; empty where one of its elements is not."""
+    if not result.verdict.is_off:
+        return ""
+    found = [reasons.get(name, "") for name in _elements(result)]
+    parts = "; ".join(dict.fromkeys(found)) if all(found) else ""
+    return reasons.get(result.id, parts)
+
 
 EFFECTS = {
     "robot-holds": "its state diverges",
@@ -19,7 +106,6 @@ EFFECTS = {
     "model-creep": "it creeps at rest",
     "model-spin": "it turns by itself in flight",
     "robot-energy": "it gains energy",
-    "model-solver": "the solver does not converge",
 }
 """What follows from a wrong joint or body, by the check that shows it."""
 
@@ -29,10 +115,14 @@ HARMLESS = (
     "stated-friction",
     "stated-margin",
     "stated-solref",
+    "command-range",
+    "imu-frame",
 )
-"""Static rules that explain no motion at rest."""
+"""Static rules whose warnings explain no motion at rest."""
 
-CAUSES = {check.id for check in READ} | {"robot-torque"}
+READ_IDS = {check.id for check in READ}
+
+CAUSES = READ_IDS | {"robot-torque"}
 """Checks that explain later ones."""
 
 
@@ -61,11 +151,25 @@ def absorb(results: Sequence[SanityResult]) -> list[SanityResult]:
     return [*found.values()]
 
 
+def causes_first(flags: Sequence[SanityResult]) -> list[SanityResult]:
+    """Return findings by stage and severity; advice that may be the cause stands in front of what the run shows."""
+    order = [*Severity]
+
+    def rank(flag: SanityResult) -> tuple[int, int]:
+        stage = 2 * (flag.id not in READ_IDS)
+        if flag.severity is Severity.ADVICE:
+            stage = 3 if stage or flag.id in HARMLESS else 1
+        return stage, -order.index(flag.severity)
+
+    return sorted(flags, key=rank)
+
+
 def _explains(cause: SanityResult, effect: SanityResult) -> bool:
     """Return whether a finding explains a later one."""
     if not (cause.id in CAUSES and cause.is_flag and effect.is_flag):
         return False
-    if cause.id in HARMLESS or cause.is_usual:
+    is_slight = cause.verdict is SanityVerdict.WARNING
+    if cause.is_usual or (is_slight and cause.id in HARMLESS):
         return False
     if cause.id == "range-unit" and effect.id.startswith("start-"):
         return True

@@ -115,7 +115,7 @@ def sanity(
     from gauge_envs.tools.sanity.fix_file import check_can_fix, write_fix
     from gauge_envs.tools.sanity.pair import pair_parts, touching_table
     from gauge_envs.tools.sanity.report import sanity_document
-    from gauge_envs.tools.sanity.selection import selection
+    from gauge_envs.tools.sanity.target_checks import selection
 
     if target is None:
         raise ParameterError(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from secrets import token_hex
 
@@ -54,8 +55,15 @@ def write_fix(report: Report, file: Path) -> str:
     finally:
         for path in trial:
             path.unlink(missing_ok=True)
-    before = {result.id for result in report.checks if result.verdict.is_off}
+    before = {
+        result.id
+        for result in report.checks
+        if result.verdict.is_off and result.cause not in resolved
+    }
     if unexpected := after - (before - resolved):
+        if report.fix is not None and any(result.fix for result in report.checks):
+            # The settings were tried without the changes of attributes.
+            return write_fix(replace(report, fix=None), file)
         raise TargetError(
             f"{file} is not written: the fixed model, read again, does not pass {', '.join(sorted(unexpected))}"
         )

@@ -22,7 +22,7 @@ from gauge_envs.pages.text import digits_text
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.sanity.fixes.candidates import candidates_of, keeps_recipe
 from gauge_envs.tools.sanity.fixes.harm import changes_rebound, motion_harm
-from gauge_envs.tools.sanity.fixes.mjcf_settings import paste_text
+from gauge_envs.tools.sanity.fixes.text_change import paste_text
 from gauge_envs.tools.sanity.pair_bench import (
     PAIR_FIELDS,
     Bench,
@@ -37,7 +37,7 @@ from gauge_envs.tools.sanity.robot.robot import (
     geom_name,
     mujoco_warnings,
 )
-from gauge_envs.tools.sanity.training import Settings, TrainingConfiguration
+from gauge_envs.tools.sanity.verdict import Settings, TrainingConfiguration
 
 Rule = Callable[[float, float], float]
 

@@ -23,9 +23,8 @@ from gauge_envs.errors import TargetError
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.sanity.model_checks.runs import has_diverged, rest
-from gauge_envs.tools.sanity.robot.robot import Robot, once
-from gauge_envs.tools.sanity.robot.standing import mesh_vertices_m
-from gauge_envs.tools.sanity.training import Settings
+from gauge_envs.tools.sanity.robot.robot import Robot, mesh_vertices_m, once
+from gauge_envs.tools.sanity.verdict import Settings
 
 SETTLE_S, CREEP_S = 0.5, 1.0
 """Simulated time until a geom rests, and until the creep on a soft contact, which lifts it, is steady [s]."""

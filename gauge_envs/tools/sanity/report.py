@@ -15,12 +15,13 @@ from gauge_envs.pages.document import Document, Paragraph, Part, Tone
 from gauge_envs.pages.table import Column, Place, Table
 from gauge_envs.pages.terminal import Terminal
 from gauge_envs.pages.text import counted, quantity_text, with_unit
+from gauge_envs.tools.sanity.causes import causes_first
 from gauge_envs.tools.sanity.object_checks import object_check
-from gauge_envs.tools.sanity.selection import selection
 from gauge_envs.tools.sanity.target_checks import (
     READ,
     RUN,
     TARGET_CHECKS,
+    selection,
 )
 from gauge_envs.tools.sanity.verdict import (
     Reality,
@@ -184,8 +185,7 @@ def _findings(report: Report) -> list[Part]:
     stage_of = dict.fromkeys(read, READ_TEXT) | dict.fromkeys(run, RUN_TEXT)
     flags = [result for result in report.flags.values() if result.is_on_target]
     shown = ""
-    flags.sort(key=lambda flag: -[*Severity].index(flag.severity))
-    for result in flags:
+    for result in causes_first(flags):
         heading = stage_of.get(result.id, "")
         if result.severity is Severity.ADVICE:
             heading = ADVICE_TEXT
@@ -251,6 +251,7 @@ def _notes(report: Report, *, is_all: bool) -> list[Part]:
     """Return what the reader might miss, what the model leaves open, and where to read on."""
     configuration = report.configuration
     texts = [f"MuJoCo warns: {text}" for text in configuration.warnings]
+    texts += report.notes
     if is_all:
         texts += configuration.notes
     lines: list[Part] = [Paragraph(f"note: {text}", Tone.WARNING) for text in texts]

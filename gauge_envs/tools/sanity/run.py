@@ -6,18 +6,16 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from gauge_envs.registry import package_versions
-from gauge_envs.tools.sanity.accepted import accept
-from gauge_envs.tools.sanity.causes import absorb
+from gauge_envs.tools.sanity.causes import absorb, accept
 from gauge_envs.tools.sanity.fixes.fix import FixSearch
-from gauge_envs.tools.sanity.fixes.named import with_fix
+from gauge_envs.tools.sanity.fixes.named import with_fixes
 from gauge_envs.tools.sanity.object_checks.measure import Measurements
 from gauge_envs.tools.sanity.readers import configuration as configuration_of
 from gauge_envs.tools.sanity.readers.gymnasium_env import Target
 from gauge_envs.tools.sanity.report import screen_text
 from gauge_envs.tools.sanity.robot.robot import mujoco_warnings
-from gauge_envs.tools.sanity.selection import check_result, selection
-from gauge_envs.tools.sanity.training import TrainingConfiguration
-from gauge_envs.tools.sanity.verdict import Report, SanityResult
+from gauge_envs.tools.sanity.target_checks import check_result, selection
+from gauge_envs.tools.sanity.verdict import Report, SanityResult, TrainingConfiguration
 
 
 @mujoco_warnings()
@@ -51,15 +49,17 @@ def check(
         results.append(check_result(measurements, configuration, name))
         if notify is not None:
             notify(results[-1])
-    results = absorb(accept(results, configuration))
+    results, notes = accept(results, configuration)
+    results = absorb(results)
     robot = configuration.robot if explain else None
     if robot is not None:
-        results = [with_fix(result, robot) for result in results]
+        results = with_fixes(results, configuration)
     report = Report(
         configuration=configuration,
         checks=tuple(results),
         versions={**measurements.versions, **package_versions()},
         asked=tuple(name for name in chosen if name in only),
+        notes=notes,
     )
     if robot is not None:
         report = FixSearch(report, robot, measurements).run()

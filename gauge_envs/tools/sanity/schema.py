@@ -4,8 +4,12 @@ from typing import Annotated, TypedDict
 
 from gauge_envs.cli.schemas import Form
 from gauge_envs.tools.sanity.comparison import CheckDifference, TargetDifference
-from gauge_envs.tools.sanity.training import TrainingConfiguration
-from gauge_envs.tools.sanity.verdict import RealityKind, Report, SanityResult
+from gauge_envs.tools.sanity.verdict import (
+    RealityKind,
+    Report,
+    SanityResult,
+    TrainingConfiguration,
+)
 
 Configuration = Annotated[TrainingConfiguration, Form(without=("robot",))]
 

@@ -62,10 +62,6 @@ FAULTS = {
         'name="floor"',
         'name="floor" friction="0.1 0.005 0.0001"',
     ),
-    ("friction-lever", "order"): (
-        '<geom friction="0.8 0.005',
-        '<geom condim="4" friction="0.4 0.5',
-    ),
 }
 """Texts of the good quadruped and what replaces them, by the check that detects it and a part of its remark."""
 

@@ -7,7 +7,7 @@ import pytest
 from robot_faults import good_xml
 
 from gauge_envs.tools.sanity import configuration
-from gauge_envs.tools.sanity.model_checks import at_rest, free_motion
+from gauge_envs.tools.sanity.model_checks import at_rest, runs
 from gauge_envs.tools.sanity.target_checks import TARGET_CHECKS
 
 FLOOR = '<geom name="floor" type="plane" size="5 5 1"/>'
@@ -126,7 +126,7 @@ def test_a_fault_is_named_with_its_size(name, xml, value, words):
 )
 def test_a_right_model_passes(xml):
     read = configuration(mujoco.MjModel.from_xml_string(xml))
-    modules = at_rest.__name__, free_motion.__name__
+    modules = at_rest.__name__, runs.__name__
     itself = [
         check for check in TARGET_CHECKS.values() if check.finding.__module__ in modules
     ]

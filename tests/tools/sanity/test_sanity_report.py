@@ -22,7 +22,6 @@ from gauge_envs.pages.terminal import Terminal
 from gauge_envs.tools import sanity
 from gauge_envs.tools.sanity import SanityWarning, SanityWrapper
 from gauge_envs.tools.sanity.report import sanity_document
-from gauge_envs.tools.sanity.training import TrainingConfiguration
 from gauge_envs.tools.sanity.verdict import (
     Fix,
     PartOutcome,
@@ -30,6 +29,7 @@ from gauge_envs.tools.sanity.verdict import (
     Report,
     SanityResult,
     SanityVerdict,
+    TrainingConfiguration,
 )
 
 

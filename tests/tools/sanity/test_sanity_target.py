@@ -17,7 +17,7 @@ from gauge_envs.errors import TargetError
 from gauge_envs.tools.sanity.model_checks.runs import start_data
 from gauge_envs.tools.sanity.readers import configuration
 from gauge_envs.tools.sanity.target_checks import TARGET_CHECKS
-from gauge_envs.tools.sanity.training import Need
+from gauge_envs.tools.sanity.verdict import Need
 
 
 def built(experiment, settings):

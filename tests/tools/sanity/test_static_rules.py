@@ -3,10 +3,10 @@
 import pytest
 from robot_faults import good_xml
 
-from gauge_envs.errors import TargetError, UnknownNameError
+from gauge_envs.errors import TargetError
 from gauge_envs.tools.sanity import check, configuration
 from gauge_envs.tools.sanity.static_rules import STATIC_RULES
-from gauge_envs.tools.sanity.static_rules.sides import side_of
+from gauge_envs.tools.sanity.static_rules.consistent import side_of
 
 ARM = """<mujoco><compiler {angle}/><option timestep=".002" {option}/><worldbody>
   <geom name="floor" type="plane" size="1 1 .1" {floor}/>
@@ -224,11 +224,40 @@ def test_a_finding_is_accepted_with_a_reason(tmp_path, monkeypatch):
     (tmp_path / "gauge.toml").write_text('[sanity.accept]\ndensity = "a weight"')
     assert density_of(tmp_path, HEAVY).accepted == "a weight"
     (tmp_path / "gauge.toml").write_text('[sanity.accept]\ndensity = ""')
-    with pytest.raises(TargetError, match="density is accepted without a reason"):
+    with pytest.raises(TargetError, match="toml: density is accepted without"):
         density_of(tmp_path, HEAVY)
-    (tmp_path / "gauge.toml").write_text('[sanity.accept]\ndensty = "a weight"')
-    with pytest.raises(UnknownNameError, match="densty"):
-        density_of(tmp_path, HEAVY)
+
+
+@pytest.mark.parametrize(
+    ("entry", "note"),
+    [
+        ("density:link", None),
+        ("density", None),
+        ("inertia:link", None),
+        (
+            "density:links",
+            "density:links accepts no finding: did you mean density:link",
+        ),
+        ("density:arm", "density:arm accepts no finding: did you mean density"),
+        ("densty", "densty accepts no finding: did you mean density"),
+    ],
+)
+def test_an_entry_that_accepts_nothing_is_said_with_its_file(
+    tmp_path, monkeypatch, entry, note
+):
+    monkeypatch.chdir(tmp_path)
+    report = check_of(tmp_path, HEAVY, "density")
+    (tmp_path / "gauge.toml").write_text(f'[sanity.accept]\n"{entry}" = "a weight"')
+    from_toml = check_of(tmp_path, HEAVY, "density")
+    (tmp_path / "gauge.toml").unlink()
+    comment = f"<!-- gauge: accept {entry}: a weight: of lead -->"
+    in_file = check_of(tmp_path, comment + HEAVY, "density")
+    assert report.notes == ()
+    for found, file in ((from_toml, "gauge.toml"), (in_file, "robot.xml")):
+        assert [text.startswith(f"{file}: {note}") for text in found.notes] == (
+            [True] if note else []
+        )
+        assert bool(note) == ("note:" in found.screen)
 
 
 def test_a_cause_has_its_effects_and_a_failed_assertion_shows_the_screen(tmp_path):
@@ -250,8 +279,22 @@ def test_what_is_unusual_is_advice_beside_what_the_run_shows(tmp_path):
     assert [*report.flags] == ["density", "robot-torque"]
     assert [*report.warnings] == ["robot-torque"] and not report.errors
     lines = report.screen.strip().splitlines()
-    assert "robot-torque" not in lines[0] and "takes" in lines[2]
-    assert lines[3].startswith("Advice:") and "kg/m^3" in lines[4]
+    assert lines[1].startswith("Advice:") and "kg/m^3" in lines[2]
+    assert lines[3].startswith("Run:") and "takes" in lines[4]
+
+
+def test_advice_whose_correction_cures_a_fall_is_its_cause(tmp_path):
+    text, off = good_xml(), ' contype="0" conaffinity="0"'
+    for geom in ('geom name="FL_foot"', 'geom name="FL_calf"'):
+        assert geom in text
+        text = text.replace(geom, geom + off)
+    (tmp_path / "robot.xml").write_text(text)
+    report = check(str(tmp_path / "robot.xml"), only=["mirror", "robot-*"])
+    assert [*report.flags] == [*report.warnings] == ["mirror"]
+    assert report.warnings["mirror"].fix == 'geom "FL_calf": contype="1"; 1 more'
+    assert "also: it falls or jumps" in report.screen
+    causes = {result.id: result.cause for result in report.checks}
+    assert causes["robot-stands"] == causes["robot-feet"] == "mirror"
 
 
 def check_of(folder, xml, *only):

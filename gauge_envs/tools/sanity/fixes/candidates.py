@@ -8,7 +8,7 @@ from typing import Any
 
 import mujoco
 
-from gauge_envs.tools.sanity.training import Settings, TrainingConfiguration
+from gauge_envs.tools.sanity.verdict import Settings, TrainingConfiguration
 
 ELLIPTIC, MARGIN = {"cone": "elliptic"}, {"contact_margin_m": 0.0}
 DAMPED, ACCURATE = {"integrator": "implicitfast"}, {"integrator": "RK4"}

@@ -12,7 +12,7 @@ from gauge_envs.errors import ParameterError
 from gauge_envs.tools.sanity.model_checks.at_rest import constraints
 from gauge_envs.tools.sanity.readers.mujoco_model import mujoco_configuration
 from gauge_envs.tools.sanity.robot.robot import Place, Robot, free_balls, grasping_pairs
-from gauge_envs.tools.sanity.training import Settings, TrainingConfiguration
+from gauge_envs.tools.sanity.verdict import Settings, TrainingConfiguration
 
 GEOM_FIELDS = {
     "contact_solref": "solref",

@@ -16,13 +16,10 @@ from gauge_envs.tools.sanity.fixes.harm import (
     motion_harm,
     speed_ratio,
 )
-from gauge_envs.tools.sanity.fixes.mjcf_settings import paste_text
-from gauge_envs.tools.sanity.fixes.text_change import write_change
+from gauge_envs.tools.sanity.fixes.text_change import paste_text, write_change
 from gauge_envs.tools.sanity.object_checks.measure import Measurements
 from gauge_envs.tools.sanity.robot.robot import Robot
-from gauge_envs.tools.sanity.selection import check_result
-from gauge_envs.tools.sanity.target_checks import TARGET_CHECKS
-from gauge_envs.tools.sanity.training import Settings, TrainingConfiguration
+from gauge_envs.tools.sanity.target_checks import TARGET_CHECKS, check_result
 from gauge_envs.tools.sanity.verdict import (
     WORSE_BY,
     Fix,
@@ -30,6 +27,8 @@ from gauge_envs.tools.sanity.verdict import (
     Report,
     SanityResult,
     SanityVerdict,
+    Settings,
+    TrainingConfiguration,
 )
 
 

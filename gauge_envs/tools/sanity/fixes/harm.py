@@ -20,7 +20,7 @@ from gauge_envs.tools.sanity.model_checks.ground import FELL
 from gauge_envs.tools.sanity.model_checks.runs import has_diverged, rest, start_data
 from gauge_envs.tools.sanity.pair_bench import FAST_M_PER_S, Bench, Touch
 from gauge_envs.tools.sanity.robot.robot import Robot
-from gauge_envs.tools.sanity.training import Settings, TrainingConfiguration
+from gauge_envs.tools.sanity.verdict import Settings, TrainingConfiguration
 
 FRICTION, MASS_KG = 0.257, 0.5
 """Friction of the measured wooden cube (scoring/facts/slope_slider_30deg_summary.toml), and mass of the block [kg]."""

@@ -10,14 +10,24 @@ from typing import Any
 import numpy as np
 
 from gauge_envs.backends.mujoco.contact_table import contact_pairs
+from gauge_envs.tools.sanity.causes import EFFECTS, absorb
 from gauge_envs.tools.sanity.fixes.harm import motion_harm
 from gauge_envs.tools.sanity.fixes.text_change import TextChange
 from gauge_envs.tools.sanity.model_checks.check import Change
 from gauge_envs.tools.sanity.model_checks.joints import joint_brakes
-from gauge_envs.tools.sanity.robot.robot import Place, Robot, spec_element
+from gauge_envs.tools.sanity.robot.robot import (
+    Place,
+    Robot,
+    find_standing,
+    spec_element,
+)
 from gauge_envs.tools.sanity.static_rules import STATIC_RULES
 from gauge_envs.tools.sanity.target_checks import TARGET_CHECKS
-from gauge_envs.tools.sanity.verdict import SanityResult
+from gauge_envs.tools.sanity.verdict import (
+    SanityResult,
+    SanityVerdict,
+    TrainingConfiguration,
+)
 
 SPEC_NAMES = {"joint": "target", "actuatorfrcrange": "actfrcrange"}
 """Attributes of MJCF that have another name in a spec."""
@@ -26,30 +36,60 @@ POLYNOMIALS = ("damping", "stiffness")
 """Attributes whose higher coefficients a file may leave out."""
 
 
-def with_fix(result: SanityResult, robot: Robot) -> SanityResult:
-    """Return a result with the change of the attributes that it names; without one that does not help, or harms."""
+def with_fixes(
+    results: Sequence[SanityResult], configuration: TrainingConfiguration
+) -> list[SanityResult]:
+    """Return results with the changes of the attributes that they name; without those that do not help, or harm.
+
+    Advice whose change makes all runs pass is the cause of what they show.
+    """
+    found, robot = list(results), configuration.robot
+    assert robot is not None, "only a model has fixes"
+    runs = [r.id for r in results if r.id in EFFECTS and r.is_flag and not r.is_usual]
+    for number, result in enumerate(results):
+        if (corrected := _tried(result, robot)) is None:
+            continue
+        changes = TARGET_CHECKS[result.id].finding(robot).changes
+        after = replace(configuration, robot=corrected)
+        is_cause = runs and all(
+            TARGET_CHECKS[run].result(after).verdict is SanityVerdict.PASSED
+            for run in runs
+        )
+        found[number] = replace(
+            result,
+            fix=_fix_text(changes, robot),
+            is_usual=result.is_usual and not is_cause,
+        )
+    return absorb(found)
+
+
+def _tried(result: SanityResult, robot: Robot) -> Robot | None:
+    """Return the robot with the changes that a result names; None where they do not help, or harm."""
     check = TARGET_CHECKS.get(result.id)
     if check is None or not result.is_flag or robot.spec is None:
-        return result
+        return None
     changes = check.finding(robot).changes
     corrected = _corrected(robot, changes) if changes else None
     if corrected is None:
-        return result
+        return None
     counts = [
         rule.finding(corrected).value - rule.finding(robot).value
         for rule in (*STATIC_RULES, joint_brakes)
     ]
     is_left = check.deviation(check.finding(corrected).value) > 1.0
     if is_left or max(counts) > 0.0 or motion_harm(robot, corrected):
-        return result
+        return None
+    return corrected
+
+
+def _fix_text(changes: Sequence[tuple[Place, Change]], robot: Robot) -> str:
+    """Return the first change, and the number of others."""
     (place, change), *others = changes
     more = f"; {len(others)} more" if others else ""
     key, value = change
     if key == "exclude":
-        text = f'contact: <exclude body1="{value[0]}" body2="{value[1]}"/>'
-    else:
-        text = f'{robot.place_text(place)}: {key}="{_text(*change)}"'
-    return replace(result, fix=f"{text}{more}")
+        return f'contact: <exclude body1="{value[0]}" body2="{value[1]}"/>{more}'
+    return f'{robot.place_text(place)}: {key}="{_text(*change)}"{more}'
 
 
 def _corrected(robot: Robot, changes: Sequence[tuple[Place, Change]]) -> Robot | None:
@@ -67,7 +107,8 @@ def _corrected(robot: Robot, changes: Sequence[tuple[Place, Change]]) -> Robot |
             model = spec.compile()
     except ValueError:
         return None
-    return replace(robot, model=model, spec=spec, pairs=contact_pairs(model))
+    robot = replace(robot, model=model, spec=spec, pairs=contact_pairs(model))
+    return replace(robot, standing=find_standing(robot))
 
 
 def _text(key: str, value: Any) -> str:

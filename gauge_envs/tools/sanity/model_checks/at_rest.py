@@ -10,8 +10,13 @@ import numpy as np
 from gauge_envs.pages.text import digits_text
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.sanity.model_checks.check import Finding, leave_to, model_check
-from gauge_envs.tools.sanity.model_checks.free_motion import solver
-from gauge_envs.tools.sanity.model_checks.runs import LATE, ON_PLANE, Run, settled
+from gauge_envs.tools.sanity.model_checks.runs import (
+    LATE,
+    ON_PLANE,
+    Run,
+    settled,
+    solver,
+)
 from gauge_envs.tools.sanity.robot.robot import (
     Robot,
     geom_name,

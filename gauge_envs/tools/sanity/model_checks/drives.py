@@ -9,8 +9,7 @@ import mujoco
 import numpy as np
 
 from gauge_envs.scene.geometry import BoolArray, FloatArray
-from gauge_envs.tools.sanity.model_checks.check import Change
-from gauge_envs.tools.sanity.model_checks.rule import Fault
+from gauge_envs.tools.sanity.model_checks.check import Change, Fault
 from gauge_envs.tools.sanity.robot.robot import (
     Robot,
     acts_on_joints,
@@ -81,6 +80,17 @@ class Drive(NamedTuple):
         if np.isfinite(self.limit) or not self.kp:
             return self.limit
         return self.kp * SERVO_ERROR_RAD * self.scale
+
+    @property
+    def reach(self) -> float:
+        """Force of its servo where the joint is at its farther stop; infinite without servo or stops."""
+        model = self.robot.model
+        travel = (
+            model.jnt_range[self.joint]
+            - self.robot.stance.qpos[model.jnt_qposadr[self.joint]]
+        )
+        is_stopped = model.jnt_limited[self.joint] and self.kp
+        return self.kp * float(np.abs(travel).max()) if is_stopped else np.inf
 
     def faults(
         self,

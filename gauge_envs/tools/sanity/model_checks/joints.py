@@ -10,6 +10,7 @@ import numpy as np
 
 from gauge_envs.pages.text import digits_text
 from gauge_envs.scene.geometry import FloatArray, length_of
+from gauge_envs.tools.sanity.model_checks.check import Fault, rule
 from gauge_envs.tools.sanity.model_checks.drives import (
     Drive,
     drags,
@@ -17,7 +18,6 @@ from gauge_envs.tools.sanity.model_checks.drives import (
     largest_loads,
     start,
 )
-from gauge_envs.tools.sanity.model_checks.rule import Fault, rule
 from gauge_envs.tools.sanity.model_checks.runs import finer_solver
 from gauge_envs.tools.sanity.robot.robot import (
     Robot,

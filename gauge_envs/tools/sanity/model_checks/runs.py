@@ -1,4 +1,4 @@
-"""Runs of the target's own model: at rest from its start, and the same with a tenth of the step and a finer solver.
+"""Runs of the target's own model: at rest, refined, in flight and in free motion; checks of what they conserve.
 
 The start is the keyframe in which the robot stands or the first one, else the model's initial pose. Actuators are at
 rest: they get the controls of the keyframe, else position servos the command that holds the start, and all others 0.
@@ -11,16 +11,20 @@ import copy
 import mujoco
 import numpy as np
 
-from gauge_envs.scene import Vector
+from gauge_envs.scene import GRAVITY_M_PER_S2, Vector
 from gauge_envs.scene.geometry import FloatArray, IntArray
-from gauge_envs.tools.sanity.model_checks.drives import hold_position
+from gauge_envs.tools.sanity.model_checks.check import Finding, leave_to, model_check
+from gauge_envs.tools.sanity.model_checks.drives import hold_position, servos
 from gauge_envs.tools.sanity.robot.robot import (
     Robot,
     disable_bit,
+    free_objects,
+    joints_of,
+    name_of,
     once,
     standing_key,
 )
-from gauge_envs.tools.sanity.verdict import NotApplicableError
+from gauge_envs.tools.sanity.verdict import NotApplicableError, Severity
 
 REST_S = 2.0
 """Time of a run at rest [s]: a body dropped by 0.1 m falls for 0.14 s, and a default contact settles in 0.1 s."""
@@ -217,3 +221,216 @@ def settled(robot: Robot, *, is_refined: bool = False) -> Run:
             f"the state diverges at {run.diverged_s:.3g} s with a step of {run.model.opt.timestep:g} s"
         )
     return run
+
+
+CONSERVED = 0.05
+"""Largest relative change of angular momentum that passes."""
+
+FLIGHT_S, OBJECT_RAD_PER_S, ROBOT_RAD_PER_S = 2.0, 2.0 * np.pi, 3.0
+"""Time of a flight [s], and the spin of an object, one turn in a second, and of a robot with joints [rad/s]."""
+
+
+def _in_flight(model: mujoco.MjModel, feature: str) -> mujoco.MjModel:
+    """Return a copy with an exact solver, without contact, a feature and air, and without brakes of free joints."""
+    flying = finer_solver(model)
+    flying.opt.disableflags |= disable_bit("contact") | disable_bit(feature)
+    flying.opt.density = flying.opt.viscosity = 0.0
+    is_free = joints_of(model, "FREE")
+    flying.jnt_stiffness[is_free] = 0.0
+    for name in ("damping", "armature", "frictionloss"):
+        getattr(flying, f"dof_{name}")[is_free[model.dof_jntid]] = 0.0
+    return flying
+
+
+def _flight(model: mujoco.MjModel, joints: list[int]) -> tuple[FloatArray, float]:
+    """Return changes of angular momentum in a flight, over its size, shape [joint_count], and its time [s].
+
+    A body turns with the spin of its keyframe, where that is faster.
+    """
+    data, roots = start_data(model), model.jnt_bodyid[joints]
+    dofs = model.jnt_dofadr[joints, None] + [3, 4, 5]
+    own = data.qvel[dofs]
+    data.qvel[:] = 0.0
+    is_alone = np.isin(roots, free_objects(model))
+    slow = np.where(is_alone[:, None], OBJECT_RAD_PER_S, ROBOT_RAD_PER_S) / np.sqrt(3.0)
+    data.qvel[dofs] = np.where(np.abs(own) > slow, own, slow)
+
+    def momenta() -> FloatArray:
+        mujoco.mj_forward(model, data)
+        mujoco.mj_subtreeVel(model, data)
+        return data.subtree_angmom[roots].copy()
+
+    before = momenta()
+    while not has_diverged(data) and data.time < seconds(model, FLIGHT_S):
+        mujoco.mj_step(model, data)
+    sizes = np.maximum(np.linalg.norm(before, axis=-1), 1e-12)
+    return np.linalg.norm(momenta() - before, axis=-1) / sizes, float(data.time)
+
+
+@model_check(
+    "model-spin",
+    title="relative change of angular momentum in a flight",
+    interval=(0.0, CONSERVED),
+    source="angular momentum of a free body is conserved; air takes a few percent of the spin of a thrown object",
+    consequence="What is thrown or jumps turns faster or slower than in reality.",
+    is_simulated=True,
+)
+def spin(robot: Robot) -> Finding:
+    """Return the change of angular momentum of free bodies without contact that a refined run does not show."""
+    model = robot.model
+    free = np.flatnonzero(joints_of(model, "FREE")).tolist()
+    if not free:
+        raise NotApplicableError("no body of the model is free")
+    flying = _in_flight(model, "gravity")
+    changes, flight_s = _flight(flying, free)
+    text = f"{flight_s:.3g} s of free flight, with a step of {1e3 * model.opt.timestep:g} ms"
+    if flight_s < 0.99 * seconds(model, FLIGHT_S):
+        leave_to(holds, robot)
+        return Finding(value=np.inf, remark=f"the state diverges after {text}")
+    number, change = int(changes.argmax()), float(changes.max())
+    body = int(model.jnt_bodyid[free[number]])
+    if change > CONSERVED and _flight(refined(flying), free)[0][number] > 0.5 * change:
+        raise NotApplicableError("other forces act on free bodies in flight")
+    return Finding(
+        value=change,
+        place=("body", body),
+        remark=f"the spin of {name_of(robot.model, 'body', body)} changes by {100.0 * change:.4g} % in {text}",
+    )
+
+
+SINE_S, SINE_SHARE, SINE_RAD = 1.0, 0.25, 0.2
+"""Period of sinusoidal commands [s]; their amplitude over the range of a command, and of a servo without one [rad]."""
+
+
+@model_check(
+    "robot-holds",
+    title="time with a finite state, over that of the run",
+    interval=(1.0, np.inf),
+    source="a run of the model from its keyframe or initial pose, without actions and along sines",
+    consequence="Training meets NaN or is reset in each episode.",
+    most=Severity.ERROR,
+    is_simulated=True,
+)
+def holds(robot: Robot) -> Finding:
+    """Return the time for which the state stays finite at rest, then while its commands follow a sine."""
+    model = robot.model
+    diverged_s, motion = rest(robot, is_refined=False).diverged_s, "at rest"
+    data = start_data(model)
+    begin = data.ctrl.copy()
+    spans = SINE_SHARE * np.ptp(model.actuator_ctrlrange, axis=1)
+    # A motor without a range may have any force.
+    sizes = np.where(model.actuator_ctrllimited, spans, SINE_RAD * servos(model))
+    while np.isinf(diverged_s) and data.time < seconds(model, SINE_S):
+        # A state that diverges is reset, with its time.
+        next_s = float(data.time + model.opt.timestep)
+        data.ctrl[:] = begin + sizes * np.sin(2.0 * np.pi * data.time / SINE_S)
+        mujoco.mj_step(model, data)
+        if has_diverged(data):
+            diverged_s = next_s
+            motion = "on sines of its commands"
+    if np.isinf(diverged_s):
+        return Finding(value=1.0)
+    return Finding(
+        value=min(diverged_s / REST_S, 0.3),
+        remark=f"the state diverges after {diverged_s:.3g} s {motion}, with a step of {1e3 * model.opt.timestep:g} ms",
+    )
+
+
+ENERGY_S, UNDAMPED_S = 1.0, 20.0
+"""Time of the free motion whose energy is read, and of a motion without damping [s]."""
+
+
+@model_check(
+    "robot-energy",
+    title="energy that a free motion gains, or loses without damping",
+    interval=(0.0, 0.1),
+    source="without contact and motors, with the damping and friction of joints and servos, energy only falls; without "
+    "them it stays",
+    consequence="The policy is paid for motions that the engine feeds or brakes.",
+    most=Severity.ADVICE,
+    is_simulated=True,
+)
+def energy(robot: Robot) -> Finding:
+    """Return the change of energy from the first tenth of a free motion to the farthest one, over the kinetic."""
+    leave_to(holds, robot)
+    if (robot.model.actuator_plugin >= 0).any():
+        raise NotApplicableError("plugins drive the joints")
+    bare = _in_flight(robot.model, "limit")
+    bare.eq_active0[bare.eq_type != mujoco.mjtEq.mjEQ_JOINT] = 0
+    # MuJoCo's energy has no term for gravity compensation. Servos keep damping.
+    bare.body_gravcomp[:] = 0.0
+    bare.actuator_gainprm[:], bare.actuator_biasprm[:, :2] = 0.0, 0.0
+    bare.actuator_forcerange[:] = [-1e9, 1e9]
+    bare.opt.enableflags |= int(mujoco.mjtEnableBit.mjENBL_ENERGY)
+    brakes = (
+        bare.dof_damping,
+        bare.dof_frictionloss,
+        bare.actuator_biasprm[:, 2],
+        bare.tendon_damping,
+        bare.eq_active0,
+    )
+    is_undamped = not any(map(np.any, brakes))
+    time_s = seconds(bare, UNDAMPED_S if is_undamped else ENERGY_S)
+    data, values = start_data(bare), []
+    is_free = joints_of(bare, "FREE")[bare.dof_jntid]
+    rates = np.random.default_rng(0).uniform(-1.0, 1.0, bare.nv)
+    data.qvel[:] = np.where(is_free, 0.0, rates)
+    while data.time < time_s and not has_diverged(data):
+        mujoco.mj_step(bare, data)
+        values.append(data.energy.copy())
+    tenths = np.array_split(values, min(10, len(values)))
+    energies_j = np.array([tenth.mean(axis=0) for tenth in tenths])
+    totals_j, largest_j = energies_j.sum(axis=1), float(energies_j[:, 1].max())
+    if has_diverged(data):
+        return Finding(value=np.inf, remark="a free motion of its joints diverges")
+    gained_j = float(totals_j.max() - totals_j[0])
+    lost_j = float(totals_j[0] - totals_j.min()) if is_undamped else 0.0
+    change_j, word = max((gained_j, "gain"), (lost_j, "have no damping and lose"))
+    return Finding(
+        value=change_j / max(largest_j, 1e-9),
+        remark=f"its joints {word} {change_j:.4g} of {largest_j:.4g} J in {data.time:.3g} s of free motion",
+    )
+
+
+SOLVED_STATES = 20
+"""States of the run at rest in which the solver is compared."""
+
+
+@model_check(
+    "model-solver",
+    title="error of the solver's forces in the run at rest",
+    interval=(0.0, 0.05),
+    source="Newton's method with 1e-10 and a dense Jacobian: all solvers of MuJoCo minimize one convex function",
+    consequence="Contacts and joints push with forces that no model states.",
+    is_simulated=True,
+)
+def solver(robot: Robot) -> Finding:
+    """Return the error of constraint forces over their size, in the norm of the inverse mass matrix.
+
+    Both solvers get the same states and the same forces of the step before, so that no chaos counts.
+    """
+    model = robot.model
+    settled(robot)
+    exact = finer_solver(model)
+    data, rough, finer = start_data(model), mujoco.MjData(model), mujoco.MjData(exact)
+    state = np.zeros(mujoco.mj_stateSize(model, STATE))
+    steps = round(seconds(model, REST_S) / SOLVED_STATES / model.opt.timestep)
+    squares, mass = np.zeros(2), np.zeros((model.nv, model.nv))
+    for _ in range(SOLVED_STATES):
+        mujoco.mj_step(model, data, max(1, steps))
+        mujoco.mj_getState(model, data, state, STATE)
+        for target, solved in ((model, rough), (exact, finer)):
+            mujoco.mj_setState(target, solved, state, STATE)
+            mujoco.mj_forward(target, solved)
+        mujoco.mj_fullM(exact, finer, mass)
+        vectors = finer.qacc - [rough.qacc, finer.qacc_smooth]
+        squares += np.einsum("ni,ij,nj->n", vectors, mass, vectors)
+    # Forces that accelerate nothing by 1 % of gravity are noise.
+    minimum = 1e-4 * GRAVITY_M_PER_S2**2 * float(model.body_mass.sum()) * SOLVED_STATES
+    value = float(np.sqrt(max(squares[0], 0.0) / max(squares[1], minimum)))
+    name = mujoco.mjtSolver(model.opt.solver).name.removeprefix("mjSOL_")
+    return Finding(
+        value=value,
+        remark=f"forces of {name} with {model.opt.iterations} iterations and a "
+        f"{'sparse' if mujoco.mj_isSparse(model) else 'dense'} Jacobian are {100.0 * value:.4g} % off",
+    )

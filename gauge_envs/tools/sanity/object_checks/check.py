@@ -19,8 +19,7 @@ from gauge_envs.scene.geometry import FloatArray, vector
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
 from gauge_envs.scoring.estimators import acceleration_m_per_s2
 from gauge_envs.text import toml_document
-from gauge_envs.tools.sanity.training import Need, Settings
-from gauge_envs.tools.sanity.verdict import Reality
+from gauge_envs.tools.sanity.verdict import Need, Reality, Settings
 
 MIN_SAMPLES = 5
 """A scene with fewer samples shows no motion."""

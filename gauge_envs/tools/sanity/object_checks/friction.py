@@ -24,8 +24,7 @@ from gauge_envs.tools.sanity.object_checks.check import (
     posed,
     rigid_law,
 )
-from gauge_envs.tools.sanity.training import Need
-from gauge_envs.tools.sanity.verdict import COVERAGE, Reality
+from gauge_envs.tools.sanity.verdict import COVERAGE, Need, Reality
 
 HOLD_S, SETTLED_S = 1.0, 0.5
 """Simulated time, and time after which the cube has sunk into a soft contact and only creeps [s]."""

@@ -19,11 +19,13 @@ from gauge_envs.tools.sanity.object_checks.check import (
     Scenario,
     run_scenario,
 )
-from gauge_envs.tools.sanity.training import Need, Settings, TrainingConfiguration
 from gauge_envs.tools.sanity.verdict import (
+    Need,
     PartOutcome,
     SanityResult,
     SanityVerdict,
+    Settings,
+    TrainingConfiguration,
 )
 
 Result = TypeVar("Result")

@@ -18,7 +18,7 @@ from gauge_envs.tools.sanity.readers.gymnasium_env import (
 )
 from gauge_envs.tools.sanity.readers.mjcf import GeomPair, read_model_file
 from gauge_envs.tools.sanity.robot.robot import mujoco_warnings
-from gauge_envs.tools.sanity.training import TrainingConfiguration
+from gauge_envs.tools.sanity.verdict import TrainingConfiguration
 
 
 def _read_toml(path: Path, pair: GeomPair | None) -> TrainingConfiguration:

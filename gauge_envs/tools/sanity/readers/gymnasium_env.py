@@ -22,7 +22,7 @@ from gauge_envs.errors import (
 from gauge_envs.tools.sanity.readers.mjcf import GeomPair, model_name, read_model
 from gauge_envs.tools.sanity.readers.mujoco_model import mujoco_configuration
 from gauge_envs.tools.sanity.robot.robot import mujoco_warnings
-from gauge_envs.tools.sanity.training import Need, TrainingConfiguration
+from gauge_envs.tools.sanity.verdict import Need, TrainingConfiguration
 
 Target: TypeAlias = (
     str | Path | mujoco.MjModel | tuple[mujoco.MjModel, mujoco.MjData] | gymnasium.Env

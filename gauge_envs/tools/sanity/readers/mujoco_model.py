@@ -26,14 +26,14 @@ from gauge_envs.scene import Vector
 from gauge_envs.scene.geometry import BoolArray, IntArray, vector
 from gauge_envs.tools.sanity.robot.robot import (
     Robot,
+    find_standing,
     free_balls,
     geom_name,
     joints_of,
     random_poses,
     switched_off,
 )
-from gauge_envs.tools.sanity.robot.standing import find_standing
-from gauge_envs.tools.sanity.training import ContactGroup, Need, TrainingConfiguration
+from gauge_envs.tools.sanity.verdict import ContactGroup, Need, TrainingConfiguration
 
 
 def mujoco_configuration(

@@ -19,7 +19,7 @@ from gauge_envs.tools.sanity.readers.gauge_probe import FORMAT, VERSION
 from gauge_envs.tools.sanity.readers.mjcf import GeomPair
 from gauge_envs.tools.sanity.readers.mujoco_model import mujoco_configuration
 from gauge_envs.tools.sanity.readers.settings import read_settings
-from gauge_envs.tools.sanity.training import TrainingConfiguration
+from gauge_envs.tools.sanity.verdict import TrainingConfiguration
 
 
 def read_file(path: Path, pair: GeomPair | None = None) -> TrainingConfiguration:

@@ -7,7 +7,7 @@ from gauge_envs.backends import backend, backend_names
 from gauge_envs.backends.settings import with_drive_interval
 from gauge_envs.errors import GaugeError, ParameterError, TargetError
 from gauge_envs.experiments.resolve import load_experiment
-from gauge_envs.tools.sanity.training import Settings, TrainingConfiguration
+from gauge_envs.tools.sanity.verdict import Settings, TrainingConfiguration
 
 TRIAL_VARIANT = "BouncingBall-rubber"
 """Variant whose scene settings are tried on, which builds fast."""

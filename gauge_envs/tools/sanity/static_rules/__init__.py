@@ -30,6 +30,5 @@ STATIC_RULES = (
     stated.margin,
     stated.friction,
     stated.rolling,
-    stated.lever,
 )
 """Static rules, in their order."""

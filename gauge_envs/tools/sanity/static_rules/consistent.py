@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import defaultdict
 from collections.abc import Iterator, Mapping
 from itertools import chain, product
 from typing import NamedTuple
@@ -11,14 +12,14 @@ import mujoco
 import numpy as np
 
 from gauge_envs.scene.geometry import FloatArray, IntArray
-from gauge_envs.tools.sanity.model_checks.check import Change
+from gauge_envs.tools.sanity.model_checks.check import Change, Fault, rule, unit_text
 from gauge_envs.tools.sanity.model_checks.drives import (
     drives,
     largest_loads,
     servos,
     start,
 )
-from gauge_envs.tools.sanity.model_checks.rule import Fault, rule, unit_text
+from gauge_envs.tools.sanity.robot.model_text import COUNTS
 from gauge_envs.tools.sanity.robot.robot import (
     Place,
     Robot,
@@ -30,8 +31,74 @@ from gauge_envs.tools.sanity.robot.robot import (
     spec_element,
     unheld,
 )
-from gauge_envs.tools.sanity.static_rules.sides import limb_of, mirrored, side_of
 from gauge_envs.tools.sanity.verdict import Severity
+
+WORDS = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+")
+
+LEFT, RIGHT = ("left", "l"), ("right", "r")
+"""Words for the sides."""
+
+ENDS = {"f": "front", "r": "rear", "h": "hind", "b": "back"}
+
+CORNERS = {
+    code: (side, word)
+    for end, word in ENDS.items()
+    for side in "lr"
+    for code in (end + side, side + end)
+}
+"""Side and end of the legs of quadrupeds by their codes, such as `FL` and `LF`."""
+
+
+class Side(NamedTuple):
+    """What a name says.
+
+    Attributes:
+        side: `l`, `r`, or empty.
+        stem: The name without its side.
+    """
+
+    side: str
+    stem: str
+
+
+def side_of(name: str) -> Side:
+    """Return the side that a name says, and the rest of it; no side for a name with both."""
+    sides, stem, words = list[str](), list[str](), WORDS.findall(name)
+    for number, word in enumerate(words):
+        text, found = word.lower(), ""
+        is_code = word.isupper() or number in (0, len(words) - 1)
+        if text in LEFT + RIGHT:
+            found, text = text[0], "*"
+        elif text in CORNERS and is_code:
+            found, text = CORNERS[text]
+        elif match := re.match(r"(left|right)(..+)", text):
+            found, text = text[0], match[2]
+        if found:
+            sides.append(found)
+        stem.append(text)
+    return Side(sides[0] if len(set(sides)) == 1 else "", " ".join(stem))
+
+
+def limb_of(name: str) -> str:
+    """Return a name without its side and end: that of the like parts of all legs."""
+    words = side_of(name).stem.split()
+    return " ".join(word for word in words if word not in ENDS.values())
+
+
+def mirrored(model: mujoco.MjModel, kind: str) -> list[tuple[int, int]]:
+    """Return pairs of elements of a kind whose names differ by the side alone, the left one first."""
+    stems: dict[str, dict[str, list[int]]] = defaultdict(lambda: defaultdict(list))
+    for number in range(getattr(model, COUNTS.get(kind, f"n{kind}"))):
+        name = getattr(model, kind)(number).name
+        side = side_of(name)
+        if name and side.side:
+            stems[side.stem][side.side].append(number)
+    return [
+        (sides["l"][0], sides["r"][0])
+        for sides in stems.values()
+        if len(sides["l"]) == len(sides["r"]) == 1
+    ]
+
 
 # --- keyframes -------------------------------------------------------------------------------------------------------
 
@@ -261,10 +328,10 @@ TRAITS = (
     Trait("body", "inertia [kg m^2]", "inertia", 2.0),
     Trait("joint", "type", "type", 1.1),
     Trait("joint", "range", "range", 1.25, "range"),
-    Trait("joint", "damping", "damping", change="damping"),
-    Trait("joint", "frictionloss", "frictionloss", change="frictionloss"),
-    Trait("joint", "armature", "armature", change="armature"),
-    Trait("joint", "stiffness", "stiffness", change="stiffness"),
+    *(
+        Trait("joint", key, key, change=key)
+        for key in ("damping", "frictionloss", "armature", "stiffness")
+    ),
     Trait("joint", "motor limit", "actfrcrange", 1.25, "actuatorfrcrange"),
     Trait("actuator", "gain", "gainprm"),
     Trait("actuator", "damping", "biasprm"),
@@ -273,7 +340,7 @@ TRAITS = (
     Trait("actuator", "force limit", "forcerange", 1.25, "forcerange"),
     Trait("geom", "friction", "friction", change="friction"),
     Trait("geom", "condim", "condim", 1.1, "condim"),
-    Trait("geom", "collision", "contype"),
+    Trait("geom", "collision", "contype", change="contype"),
 )
 
 

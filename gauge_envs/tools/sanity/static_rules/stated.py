@@ -9,15 +9,14 @@ import numpy as np
 
 from gauge_envs.backends.mujoco.contact_table import COLUMNS, PairKind, can_move
 from gauge_envs.scene.geometry import FloatArray
-from gauge_envs.tools.sanity.model_checks.rule import Fault, rule
+from gauge_envs.tools.sanity.model_checks.check import Fault, rule
 from gauge_envs.tools.sanity.robot.robot import (
     Robot,
-    disable_bit,
     free_objects,
     geom_name,
     name_of,
+    switched_off,
 )
-from gauge_envs.tools.sanity.verdict import Severity
 
 # --- contacts --------------------------------------------------------------------------------------------------------
 
@@ -36,6 +35,8 @@ DEFAULT_FRICTION = 1.0
 def friction(robot: Robot) -> Iterator[Fault]:
     """Yield geoms whose stated friction loses against a greater one in each contact with what is fixed."""
     model, pairs = robot.model, robot.pairs
+    if switched_off(model, "contact"):
+        return
     used = pairs.constants[:, 1] * (pairs.constants[:, 0] > 1)
     stated = model.geom_friction[:, 0]
     fixed = np.flatnonzero(pairs.kinds < PairKind.MOVING)
@@ -51,24 +52,20 @@ def friction(robot: Robot) -> Iterator[Fault]:
             yield Fault(("geom", int(geom)), name, text, ratio, change=("priority", 1))
 
 
-def _constraints(model: mujoco.MjModel) -> Iterator[tuple[str, int, FloatArray]]:
-    """Yield kind, id and the constants of the colliding geoms, explicit pairs, and equalities."""
-    collides = (model.geom_contype | model.geom_conaffinity) != 0
-    arrays = {"geom": collides, "pair": model.npair, "equality": model.neq}
-    for kind, which in arrays.items():
-        prefix = "eq" if kind == "equality" else kind
-        count = np.flatnonzero(which) if kind == "geom" else range(which)
-        for number in count:
-            constants = [
-                getattr(model, f"{prefix}_{key}") for key in ("solref", "solimp")
-            ]
-            yield kind, int(number), np.hstack([array[number] for array in constants])
-    for joint in np.flatnonzero(model.jnt_limited).tolist():
-        yield (
-            "joint",
-            joint,
-            np.hstack([model.jnt_solref[joint], model.jnt_solimp[joint]]),
-        )
+def _constraints(robot: Robot) -> Iterator[tuple[str, int, FloatArray]]:
+    """Yield kind, id and constants of geoms that can collide, explicit pairs, equalities and limits that are on."""
+    model = robot.model
+    elements = (
+        ("geom", "geom", "contact", np.unique(robot.pairs.geoms)),
+        ("pair", "pair", "contact", np.arange(model.npair)),
+        ("equality", "eq", "equality", np.arange(model.neq)),
+        ("joint", "jnt", "limit", np.flatnonzero(model.jnt_limited)),
+    )
+    for kind, prefix, feature, numbers in elements:
+        arrays = [getattr(model, f"{prefix}_{key}") for key in ("solref", "solimp")]
+        if not switched_off(model, feature):
+            for number in numbers.tolist():
+                yield kind, number, np.hstack([array[number] for array in arrays])
 
 
 @rule(
@@ -81,9 +78,9 @@ def solref(robot: Robot) -> Iterator[Fault]:
     """Yield elements whose time constant MuJoCo raises by more than a tenth."""
     model = robot.model
     least_s = 2.0 * model.opt.timestep
-    if model.opt.disableflags & disable_bit("refsafe"):
+    if switched_off(model, "refsafe"):
         return
-    for kind, number, constants in _constraints(model):
+    for kind, number, constants in _constraints(robot):
         if 0.0 < constants[0] < least_s / 1.1:
             name = name_of(model, kind, number)
             text = f"a step of {500 * least_s:g} ms raises solref of {name} from {constants[0]:.3g} to {least_s:g} s"
@@ -102,7 +99,7 @@ MAX_IMPEDANCE = 0.9999
 )
 def solimp(robot: Robot) -> Iterator[Fault]:
     """Yield elements whose impedance at the surface exceeds that in the depth."""
-    for kind, number, constants in _constraints(robot.model):
+    for kind, number, constants in _constraints(robot):
         low, high = np.minimum(constants[2:4], MAX_IMPEDANCE).tolist()
         if low > high:
             name = name_of(robot.model, kind, number)
@@ -124,6 +121,8 @@ MAX_MARGIN_M = 0.002
 def margin(robot: Robot) -> Iterator[Fault]:
     """Yield moving geoms that touch what is fixed before they meet it."""
     model, pairs = robot.model, robot.pairs
+    if switched_off(model, "contact"):
+        return
     ahead_m = pairs.constants[:, COLUMNS["margin"]][:, 0]
     is_ahead = (ahead_m > MAX_MARGIN_M) & (pairs.kinds < PairKind.MOVING)
     for row in np.flatnonzero(is_ahead):
@@ -155,6 +154,8 @@ FLAT = (int(mujoco.mjtGeom.mjGEOM_BOX), int(mujoco.mjtGeom.mjGEOM_MESH))
 def rolling(robot: Robot) -> Iterator[Fault]:
     """Yield geoms and pairs with friction that their condim ignores: of geoms, rolling counts for round free bodies."""
     model, condims = robot.model, _condims(robot)
+    if switched_off(model, "contact"):
+        return
     stated, moves = model.geom_friction, can_move(model)
     rolls = np.isin(model.geom_bodyid, free_objects(model))
     rolls &= ~np.isin(
@@ -184,31 +185,6 @@ def _condims(robot: Robot) -> FloatArray:
     condims = np.zeros(robot.model.ngeom)
     np.maximum.at(condims, robot.pairs.geoms, robot.pairs.constants[:, :1])
     return condims
-
-
-LEVER, MIN_TIP_M = 3.0, 0.0025
-"""Largest lever over the size of a geom, which may be a part of a pad, and size of a point of a pad [m]."""
-
-
-@rule(
-    "friction-lever",
-    title="torsional friction over the size of a part",
-    source="an even disc has a lever of two thirds of its radius, and no contact is larger than the part",
-    consequence="Feet and fingers hold as if glued: they neither turn nor roll.",
-    most=Severity.ADVICE,
-)
-def lever(robot: Robot) -> Iterator[Fault]:
-    """Yield geoms of a robot whose torsional friction, a length, exceeds their size."""
-    model, levers_m = robot.model, robot.model.geom_friction[:, 1]
-    sizes_m = model.geom_rbound
-    is_felt = np.isin(model.geom_bodyid, robot.bodies) & (_condims(robot) > 3)
-    is_felt &= (sizes_m > MIN_TIP_M) & (levers_m > LEVER * sizes_m)
-    for geom in np.flatnonzero(is_felt).tolist():
-        name, (sliding, lever_m) = geom_name(model, geom), model.geom_friction[geom, :2]
-        text = f"{name} of {1e3 * sizes_m[geom]:.3g} mm resists turning with a lever of {1e3 * lever_m:.3g} mm"
-        if lever_m > sliding:
-            text += ": friction is in the order sliding, torsion, rolling"
-        yield Fault(("geom", geom), name, text, lever_m / sizes_m[geom])
 
 
 # --- actuators and gravity compensation ------------------------------------------------------------------------------
