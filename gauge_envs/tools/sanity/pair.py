@@ -32,11 +32,7 @@ from gauge_envs.tools.sanity.pair_bench import (
     touch_of,
     touching,
 )
-from gauge_envs.tools.sanity.robot.robot import (
-    Robot,
-    geom_name,
-    mujoco_warnings,
-)
+from gauge_envs.tools.sanity.robot.robot import Robot, geom_name, mujoco_warnings
 from gauge_envs.tools.sanity.verdict import Settings, TrainingConfiguration
 
 Rule = Callable[[float, float], float]

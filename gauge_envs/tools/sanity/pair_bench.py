@@ -104,9 +104,7 @@ class Touch:
 @once
 def touching(robot: Robot) -> dict[tuple[int, int], FloatArray]:
     """Return normal and tangential force [N] of each pair that touches at the end of the run at rest, shape [2]."""
-    if not robot.model.nv or np.isfinite(
-        (run := rest(robot, is_refined=False)).diverged_s
-    ):
+    if not robot.model.nv or np.isfinite((run := rest(robot)).diverged_s):
         return {}
     force, sums = np.zeros(6), dict[tuple[int, int], FloatArray]()
     for index, contact in enumerate(run.data.contact):
@@ -139,7 +137,7 @@ def touch_of(
     model, data = robot.model, mujoco.MjData(robot.model)
     data.qpos[:] = robot.stance.qpos
     if forces_n is None and (forces_n := touching(robot).get(pair)) is not None:
-        data.qpos[:] = rest(robot, is_refined=False).data.qpos
+        data.qpos[:] = rest(robot).data.qpos
     mujoco.mj_forward(model, data)
     trees = model.body_rootid[model.geom_bodyid[list(pair)]]
     masses = np.where(

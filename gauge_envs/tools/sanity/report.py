@@ -17,12 +17,7 @@ from gauge_envs.pages.terminal import Terminal
 from gauge_envs.pages.text import counted, quantity_text, with_unit
 from gauge_envs.tools.sanity.causes import causes_first
 from gauge_envs.tools.sanity.object_checks import object_check
-from gauge_envs.tools.sanity.target_checks import (
-    READ,
-    RUN,
-    TARGET_CHECKS,
-    selection,
-)
+from gauge_envs.tools.sanity.target_checks import READ, RUN, TARGET_CHECKS, selection
 from gauge_envs.tools.sanity.verdict import (
     Reality,
     Report,

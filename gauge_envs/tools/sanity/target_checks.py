@@ -6,12 +6,7 @@ from collections.abc import Mapping, Sequence
 from fnmatch import fnmatchcase
 
 from gauge_envs.errors import UnknownNameError
-from gauge_envs.tools.sanity.model_checks import (
-    at_rest,
-    ground,
-    joints,
-    runs,
-)
+from gauge_envs.tools.sanity.model_checks import at_rest, ground, joints, runs
 from gauge_envs.tools.sanity.model_checks.check import ModelCheck
 from gauge_envs.tools.sanity.object_checks import OBJECT_CHECKS
 from gauge_envs.tools.sanity.object_checks.measure import Measurements, object_result

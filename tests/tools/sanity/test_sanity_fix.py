@@ -183,6 +183,22 @@ def test_a_change_that_throws_the_model_up_is_rejected(depth_m, is_harm):
     assert motion_harm(soft.robot, stiff.robot) is is_harm
 
 
+@pytest.mark.parametrize(("friction", "is_harm"), [(0.2, True), (0.9, False)])
+def test_a_change_that_lets_a_resting_body_slide_is_rejected(friction, is_harm):
+    """Coulomb: a box on a slope of 27 degrees rests with friction above 0.5."""
+    text = """<mujoco><option cone="elliptic" gravity="4.4 0 -8.77"/>
+  <default><geom friction="{}"/></default>
+  <worldbody><geom type="plane" size="5 5 0.1"/>
+    <body pos="0 0 0.1"><freejoint/><geom type="box" size="0.1 0.1 0.1" mass="1"/></body>
+  </worldbody>
+</mujoco>"""
+    rests, changed = (
+        configuration(mujoco.MjModel.from_xml_string(text.format(value))).robot
+        for value in (0.8, friction)
+    )
+    assert motion_harm(rests, changed) is is_harm
+
+
 def test_a_connection_that_opens_gets_stiffer_alone(tmp_path):
     """A load of 60 kg on a hook of 20 g; a weld of another softness, such as one for mocap, stays."""
     text = """<mujoco>

@@ -11,11 +11,7 @@ from gauge_envs.errors import GaugeError
 from gauge_envs.names import first_names
 from gauge_envs.tools.sanity.fixes.candidates import candidates_of
 from gauge_envs.tools.sanity.fixes.change import applied
-from gauge_envs.tools.sanity.fixes.harm import (
-    contact_harm,
-    motion_harm,
-    speed_ratio,
-)
+from gauge_envs.tools.sanity.fixes.harm import contact_harm, motion_harm, speed_ratio
 from gauge_envs.tools.sanity.fixes.text_change import paste_text, write_change
 from gauge_envs.tools.sanity.object_checks.measure import Measurements
 from gauge_envs.tools.sanity.robot.robot import Robot

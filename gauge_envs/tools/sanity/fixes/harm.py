@@ -13,9 +13,11 @@ from functools import cache
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G
+from gauge_envs.tools.sanity.model_checks.at_rest import RESTING_MM_PER_S
 from gauge_envs.tools.sanity.model_checks.ground import FELL
 from gauge_envs.tools.sanity.model_checks.runs import has_diverged, rest, start_data
 from gauge_envs.tools.sanity.pair_bench import FAST_M_PER_S, Bench, Touch
@@ -113,32 +115,34 @@ SPEED_BLOCKS, BLOCK_S = 4, 0.25
 
 
 def motion_harm(before: Robot, after: Robot) -> bool:
-    """Return whether a change throws a model up from its start, or lets its robot fall within 2 s."""
+    """Return whether a change throws a model up, moves what rested, or lets its robot fall within 2 s."""
     if not before.model.nv:
         return False
-    rise_mm, stands = _motion(before)
-    new_rise_mm, stands_then = _motion(after)
-    return hops_more(rise_mm, new_rise_mm) or (stands and not stands_then)
+    rise_mm, rests, stands = _motion(before)
+    new_rise_mm, still_rests, still_stands = _motion(after)
+    moves = np.any(rests > still_rests)
+    return bool(moves or hops_more(rise_mm, new_rise_mm) or stands > still_stands)
 
 
-def _motion(robot: Robot) -> tuple[float, bool]:
+def _motion(robot: Robot) -> tuple[float, NDArray[np.bool_], bool]:
     """Return how a model moves from its start, with the controls of its keyframe.
 
     Returns:
-        The largest rise of the centre of mass of a tree of bodies [mm], and whether the robot stands at the end.
+        The largest rise of the centre of mass of a tree of bodies [mm], which bodies rest at the end, and whether the
+        robot stands then.
         The rise is at least the depth of the overlap at the start, and infinite for a state that diverges.
     """
-    run = rest(robot, is_refined=False)
+    run = rest(robot)
     if np.isfinite(run.diverged_s):
-        return math.inf, False
+        return math.inf, np.zeros(robot.model.nbody, dtype=np.bool_), False
     depth_m = -float(start_data(robot.model).contact.dist.min(initial=0.0))
-    rise_m = float((run.heights_m - run.heights_m[0]).max(initial=depth_m))
+    rise_m = (run.heights_m - run.heights_m[0]).max(initial=depth_m)
     stands, standing = False, robot.standing
     if standing is not None:
         tree = robot.model.body_treeid[standing.body]
         first_m, last_m = run.heights_m[[0, -1], tree] - standing.ground_m
         stands = bool(last_m > FELL * first_m)
-    return 1e3 * rise_m, stands
+    return 1e3 * rise_m, run.speeds_mm_per_s < RESTING_MM_PER_S, stands
 
 
 def speed_ratio(before: Robot, after: Robot) -> float | None:

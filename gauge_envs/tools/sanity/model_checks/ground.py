@@ -19,12 +19,7 @@ from gauge_envs.tools.sanity.model_checks.check import (
     rule,
     unit_text,
 )
-from gauge_envs.tools.sanity.model_checks.drives import (
-    drives,
-    loads,
-    servos,
-    start,
-)
+from gauge_envs.tools.sanity.model_checks.drives import drives, loads, servos, start
 from gauge_envs.tools.sanity.model_checks.runs import settled
 from gauge_envs.tools.sanity.pair_bench import bench, touch_of, touching
 from gauge_envs.tools.sanity.robot.robot import (

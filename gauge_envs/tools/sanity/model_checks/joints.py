@@ -19,10 +19,7 @@ from gauge_envs.tools.sanity.model_checks.drives import (
     start,
 )
 from gauge_envs.tools.sanity.model_checks.runs import finer_solver
-from gauge_envs.tools.sanity.robot.robot import (
-    Robot,
-    root_of,
-)
+from gauge_envs.tools.sanity.robot.robot import Robot, root_of
 
 # --- friction, damping and armature ----------------------------------------------------------------------------------
 

@@ -205,7 +205,7 @@ def refined(model: mujoco.MjModel) -> mujoco.MjModel:
 
 
 @once
-def rest(robot: Robot, *, is_refined: bool) -> Run:
+def rest(robot: Robot, *, is_refined: bool = False) -> Run:
     """Return the run of the model as it is, or of the refined model from the same start."""
     if not robot.model.nv:
         raise NotApplicableError("the model has no joint")
@@ -314,7 +314,7 @@ SINE_S, SINE_SHARE, SINE_RAD = 1.0, 0.25, 0.2
 def holds(robot: Robot) -> Finding:
     """Return the time for which the state stays finite at rest, then while its commands follow a sine."""
     model = robot.model
-    diverged_s, motion = rest(robot, is_refined=False).diverged_s, "at rest"
+    diverged_s, motion = rest(robot).diverged_s, "at rest"
     data = start_data(model)
     begin = data.ctrl.copy()
     spans = SINE_SHARE * np.ptp(model.actuator_ctrlrange, axis=1)
