@@ -203,8 +203,10 @@ def contact_force(lab: Lab) -> Measurement:
     read_n = np.array(forces[:-1])
     scales = (read_n * law).sum(axis=(0, 2)) / (law**2).sum(axis=(0, 2))
     rows = [(1.0, 1.0, 1.0), *MISTAKES.values(), scales[:, None]]
-    shares = np.linalg.norm([read_n - law * row for row in rows], axis=3).max(axis=1)
-    shares /= np.linalg.norm(law, axis=2).max(axis=0)
+    loads = np.linalg.norm(law, axis=2)
+    offs = [read_n - law * row for row in rows]
+    offs.append(offs[0] * (loads > 1e-3 * G)[..., None])
+    shares = np.linalg.norm(offs, axis=3).max(axis=1) / loads.max(axis=0)
     errors, mistakes = {}, {}
     for name, scale, (share, *left) in zip(
         names, scales, shares.T.tolist(), strict=True
@@ -212,5 +214,6 @@ def contact_force(lab: Lab) -> Measurement:
         case = f"the force on the {name} brick"
         errors[case] = share
         scaled = f"it is {scale:.3g} times that of the law"
-        mistakes[case] = dict(zip((*MISTAKES, scaled), left, strict=True))
+        causes = (*MISTAKES, scaled, "it stays after the bodies part")
+        mistakes[case] = dict(zip(causes, left, strict=True))
     return largest(errors, mistakes=mistakes)

@@ -538,7 +538,7 @@ def tower_stands(lab: Lab) -> Measurement:
     law="height = const",
     unit="mm",
     tolerance=SCATTER,
-    cause="contacts of a light body are too soft for the weight on it, or the solver ends before its forces balance",
+    cause="heavy bodies sink into light ones: contacts are too soft for the weight, or the solver ends too early",
 )
 def mass_ratio(lab: Lab) -> Measurement:
     """Boxes of 20 kg on boxes of 0.1 kg and of 1 kg, on a plane; the heavy box listed first or last.
