@@ -46,7 +46,9 @@ def rules() -> list[Rule]:
     return [
         {
             "cause": row.get("cause", ""),
-            "fails": [FAILURE.fullmatch(part).groups() for part in row["fails"].split()],  # type: ignore[union-attr]
+            "fails": [
+                FAILURE.fullmatch(part).groups() for part in row["fails"].split()
+            ],  # type: ignore[union-attr]
             "passes": row.get("passes", "").split(),
             "equal": row.get("equal", "").split(),
             "explains": row.get("explains", "*").split(),
@@ -61,7 +63,7 @@ def likely_causes(results: Sequence[CheckResult]) -> list[str]:
 
 
 def matching_rules(results: Sequence[CheckResult]) -> Iterator[Rule]:
-    """Yield the rules that explain failures which no earlier rule explains; a rule without a cause only as the first."""
+    """Yield the rules that explain failures which no earlier rule explains; one without a cause only as the first."""
     ran = {result.check: result for result in results}
     left = {name for name, result in ran.items() if result.is_bad}
     is_first = True
@@ -93,7 +95,9 @@ def _fails(ran: Results, name: str, sign: str | None, bound: str | None) -> bool
 
 def _has_one_factor(rule: Rule, ran: Results) -> bool:
     """Return whether errors of checks, which fail, are one factor."""
-    shares = [(ran[n].measured or 0.0) / (ran[n].expected or 1.0) for n in rule["equal"]]
+    shares = [
+        (ran[n].measured or 0.0) / (ran[n].expected or 1.0) for n in rule["equal"]
+    ]
     return not shares or bool(np.ptp(shares) < ONE_FACTOR * max(np.abs(shares)))
 
 
