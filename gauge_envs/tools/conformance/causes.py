@@ -15,13 +15,11 @@ depends on it. A rule has
 from __future__ import annotations
 
 import json
-import operator
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from fnmatch import fnmatchcase
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -33,9 +31,7 @@ ONE_FACTOR = 0.03
 FAILURE = re.compile(r"([\w.-]+?)(?:([<>])([\d.]*))?")
 """Check, sign of its error, and a bound of its value."""
 
-COMPARES = {"<": operator.lt, ">": operator.gt}
-
-Rule = Mapping[str, Any]
+Rule = Mapping[str, str]
 Results = Mapping[str, CheckResult]
 
 
@@ -43,72 +39,67 @@ Results = Mapping[str, CheckResult]
 def rules() -> list[Rule]:
     """Return the rules, from the contract to impacts."""
     rows: list[Rule] = json.loads(Path(__file__).with_suffix(".json").read_text())
-    return [
-        {
-            "cause": row.get("cause", ""),
-            "fails": [
-                FAILURE.fullmatch(part).groups() for part in row["fails"].split()
-            ],  # type: ignore[union-attr]
-            "passes": row.get("passes", "").split(),
-            "equal": row.get("equal", "").split(),
-            "explains": row.get("explains", "*").split(),
-        }
-        for row in rows
-    ]
+    return rows
 
 
 def likely_causes(results: Sequence[CheckResult]) -> list[str]:
-    """Return the causes of failures, each with checks that fail and pass by it; the most basic one first."""
-    return [_text(rule, results) for rule in matching_rules(results)]
+    """Return the causes of failures, each with checks that fail and pass by it; the most basic one first.
 
-
-def matching_rules(results: Sequence[CheckResult]) -> Iterator[Rule]:
-    """Yield the rules that explain failures which no earlier rule explains; one without a cause only as the first."""
+    A failure that an earlier rule explains has no other cause. A rule without a cause counts only as the first.
+    """
     ran = {result.check: result for result in results}
     left = {name for name, result in ran.items() if result.is_bad}
-    is_first = True
+    texts: list[str] = []
     for rule in rules():
-        if rule["fails"][0][0] not in left or not _matches(rule, ran):
+        failed, *_ = _names(rule["fails"])
+        if failed not in left or not _matches(rule, ran):
             continue
-        if rule["cause"] or is_first:
-            yield rule
-        is_first = False
-        left -= {n for n in left for glob in rule["explains"] if fnmatchcase(n, glob)}
+        if "cause" in rule or not texts:
+            texts.append(_text(rule, ran))
+        globs = rule.get("explains", "*").split()
+        left -= {name for name in left for glob in globs if fnmatchcase(name, glob)}
+    return texts
+
+
+def _names(checks: str) -> list[str]:
+    """Return the ids of checks, without signs."""
+    return [FAILURE.fullmatch(check)[1] for check in checks.split()]  # type: ignore[index]
 
 
 def _matches(rule: Rule, ran: Results) -> bool:
-    has_failures = all(_fails(ran, *failure) for failure in rule["fails"])
-    has_passes = all(n in ran and not ran[n].is_bad for n in rule["passes"])
-    return has_failures and has_passes and _has_one_factor(rule, ran)
+    passes = _names(rule.get("passes", ""))
+    return (
+        all(_fails(ran, check) for check in rule["fails"].split())
+        and all(name in ran and not ran[name].is_bad for name in passes)
+        and _has_one_factor([ran[name] for name in _names(rule.get("equal", ""))])
+    )
 
 
-def _fails(ran: Results, name: str, sign: str | None, bound: str | None) -> bool:
+def _fails(ran: Results, check: str) -> bool:
     """Return whether a check fails, with a sign of its error or beyond a bound."""
+    name, sign, bound = FAILURE.fullmatch(check).groups()  # type: ignore[union-attr]
     result = ran.get(name)
-    if result is None or not result.is_bad or sign is None:
+    if result is None or not result.is_bad or not sign:
         return result is not None and result.is_bad
     limit = float(bound) if bound else result.expected
     if result.measured is None or limit is None:
         return False
-    return bool(COMPARES[sign](result.measured, limit))
+    return result.measured < limit if sign == "<" else result.measured > limit
 
 
-def _has_one_factor(rule: Rule, ran: Results) -> bool:
-    """Return whether errors of checks, which fail, are one factor."""
-    shares = [
-        (ran[n].measured or 0.0) / (ran[n].expected or 1.0) for n in rule["equal"]
-    ]
-    return not shares or bool(np.ptp(shares) < ONE_FACTOR * max(np.abs(shares)))
+def _has_one_factor(results: Sequence[CheckResult]) -> bool:
+    """Return whether the errors of failed checks are one factor."""
+    shares = [(each.measured or 0.0) / (each.expected or 1.0) for each in results]
+    return not shares or bool(np.ptp(shares) < ONE_FACTOR * np.abs(shares).max())
 
 
-def _text(rule: Rule, results: Sequence[CheckResult]) -> str:
+def _text(rule: Rule, ran: Results) -> str:
     """Return a cause with the checks that fail and pass by it, or the diagnosis of its check."""
-    failed = [name for name, *_ in rule["fails"]]
-    ran = {result.check: result for result in results}
-    if not rule["cause"]:
+    failed = _names(rule["fails"])
+    if "cause" not in rule:
         result = ran[failed[0]]
         return f"{result.of.title}: {result.diagnosis} ({result.check} fails)"
-    passed = [name for name in rule["passes"] if ran[name].status is Status.PASS]
     proof = f"fails: {', '.join(failed)}"
-    proof += f"; passes: {', '.join(passed)}" if passed else ""
+    right = [n for n in _names(rule.get("passes", "")) if ran[n].status is Status.PASS]
+    proof += f"; passes: {', '.join(right)}" if right else ""
     return f"{rule['cause']} ({proof})"
