@@ -166,14 +166,17 @@ def _by_speed(errors: FloatArray) -> str:
         ("spin", np.abs(RATES_RAD_PER_S), errors[moving:]),
     ):
         off = ~(rows < STEADY).all(axis=1)
-        if off.all():
-            grows = (rows[:, 0] < 0.7 * rows[:, -1]).all()
-            changed = "is damped" if grows else "differs from the start's"
-            causes.append(f"the {kind} of free bodies {changed}")
-        elif off.any() and sizes[off].min() > sizes[~off].max():
-            causes.append(f"{kind} has a limit")
-        elif off.any() and sizes[off].max() < sizes[~off].min():
+        if not off.any():
+            continue
+        others = sizes[~off]
+        if (sizes[off].max() < others).all() and not off.all():
             causes.append(f"bodies of small {kind} fall asleep")
+        elif (rows[off, 0] < 0.7 * rows[off, -1]).all():
+            causes.append(f"the {kind} of free bodies is damped")
+        elif off.all():
+            causes.append(f"the {kind} of free bodies differs from the start's")
+        elif (sizes[off].min() > others).all():
+            causes.append(f"{kind} has a limit")
     return "; ".join(causes)
 
 
