@@ -18,6 +18,7 @@ from gauge_envs.tools.conformance.causes import likely_causes
 from studies.planted_faults.contract_faults import FAULTS
 from studies.planted_faults.fifth_set import FAULTS5
 from studies.planted_faults.fourth_set import FAULTS4
+from studies.planted_faults.sixth_set import FAULTS6
 from studies.planted_faults.third_set import FAULTS3
 from tests.faults import Fault
 
@@ -140,6 +141,29 @@ WORDS = {
     "last contact wins": "of bodies, not of pairs|another factor|combined",
     "small spheres": "size",
     "start spin in body frame": "start",
+    "friction over points": "friction is smaller|shape",
+    "cylinder inertia along y": "inertia",
+    "spinning balls sink": "sink|off their heights",
+    "wrench grows": "a multiple or a part",
+    "free pairs collide": "without a contact are stopped",
+    "velocity and spin swapped": "columns 7 to 12",
+    "start velocities ignored": r"reset\(starts\)",
+    "lifted at impacts": "gain energy|restitution is larger|rebound",
+    "global friction": "another factor|combined",
+    "gravity in a part of the steps": "gravity",
+    "stale after reset": "after reset|reset restores",
+    "shared gravity": "shares gravity|share their state",
+    "anchor off": "anchor",
+    "heavy compounds": "another mass",
+    "no spin of drive": "turning block",
+    "dead solids": "rebound",
+    "tilted gravity": "gravity",
+    "order of pairs": "order of the pair|reversed",
+    "force limit": "the force and not the torque|a multiple or a part",
+    "only the first world driven": "driven motion",
+    "whole frames": "simulates the given time",
+    "half friction reported": "the force on the sliding",
+    "raised planes": "plane",
 }
 """Patterns of words by which the first line names the cause of a fault."""
 
@@ -168,7 +192,12 @@ def main(file: Path) -> None:
         known = dict(map(json.loads, file.read_text().splitlines()))
     sets = {
         name: {key: entry.fault for key, entry in entries.items()}
-        for name, entries in (("3", FAULTS3), ("4", FAULTS4), ("5", FAULTS5))
+        for name, entries in (
+            ("3", FAULTS3),
+            ("4", FAULTS4),
+            ("5", FAULTS5),
+            ("6", FAULTS6),
+        )
     }
     healthy = backend("mujoco")
     for title, faults in (
