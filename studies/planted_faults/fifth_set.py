@@ -155,7 +155,7 @@ class _AllAdvance(Planted):
         super().advance(seconds)
         for other in _AllAdvance.last:
             if other is not self and not other.__dict__.get("_closed"):
-                Planted.advance(other, seconds)
+                super(_AllAdvance, other).advance(seconds)
 
     def close(self):
         self._closed = True
