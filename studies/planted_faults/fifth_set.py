@@ -4,6 +4,7 @@ They were written after the rules of causes, with the words that name them, and 
 """
 
 from dataclasses import replace
+from threading import current_thread, main_thread
 from typing import ClassVar
 
 import mujoco
@@ -153,7 +154,11 @@ class _AllAdvance(Planted):
 
     def advance(self, seconds):
         super().advance(seconds)
-        for other in _AllAdvance.last:
+        others = _AllAdvance.last
+        # Two threads may not advance one simulation.
+        if current_thread() is not main_thread():
+            others = []
+        for other in others:
             if other is not self and not other.__dict__.get("_closed"):
                 super(_AllAdvance, other).advance(seconds)
 
