@@ -10,13 +10,22 @@ Engines that need environments of their own have files of their own, which the s
 """
 
 from collections.abc import Sequence
+from contextlib import closing
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
+from PIL import Image
 
-from gauge_envs.tools.conformance import Status, checks
+from gauge_envs.backends import backend
+from gauge_envs.fixtures.recording import Recording
+from gauge_envs.rendering.camera import scene_view
+from gauge_envs.rendering.renderer import SceneRenderer
+from gauge_envs.scene.geometry import vector
+from gauge_envs.tools.conformance import Lab, Status, checks
 from gauge_envs.tools.conformance.model import CheckResult
 from gauge_envs.tools.conformance.report import comparison
 from gauge_envs.tools.conformance.results import (
@@ -24,6 +33,7 @@ from gauge_envs.tools.conformance.results import (
     read_columns,
     write_columns,
 )
+from gauge_envs.tools.conformance.run import run_check
 from scripts import check_coverage
 from scripts.generated import ROOT, SCORING, markdown_table, page_part, with_part
 
@@ -49,6 +59,24 @@ USES = {
 }
 """Patterns of the checks that a use needs."""
 
+SHOWN = {
+    "sliding and pushing": (
+        "push-slides",
+        "cube at 1.01 of the limit under 3 weights",
+        1.6,
+    ),
+    "grasping": ("grasp", "object", 0.4),
+    "floors of tiles": ("seam-slide", "six tiles at 1.5 m/s", 1.2),
+    "towers and piles": ("wall", "box 20 of 0.3 kg", 0.5),
+    "thrown and spinning bodies": ("spinning-top", "top", 0.35),
+    "impacts": ("strike-aside", "bar 130 mm off the middle, e = 0.5", 0.8),
+    "fast bodies": ("drop-energy", "off its centre on a post", 1.6),
+    "cloth": ("cloth-rests-on", "sheet 1", 0.6),
+    "foam": ("foam-rests-on", "foam block 0", 0.4),
+    "ropes": ("rope-length", "rope", 0.5),
+}
+"""Check that shows a use, body in the centre of its picture at the end, and distance of the camera [m]."""
+
 
 def join(files: Sequence[Path]) -> None:
     """Write the results of files of `gauge backend check --out` to `scoring/conformance.json`."""
@@ -66,12 +94,57 @@ def contents() -> dict[Path, str]:
     lines = [f"Run on {days} with {versions}.", "", *markdown_table(head, table.rows)]
     pages = page_part(PAGE, "matrix", SCRIPT, "\n".join(lines))
     chosen = [column for column in columns if column.name == "default"]
-    uses = [[use, *(_verdict(use, column) for column in chosen)] for use in USES]
+    uses = [
+        [_shown(use), *(_verdict(use, column) for column in chosen)] for use in USES
+    ]
     head = ["use", *(column.title for column in chosen)]
     part = "\n".join(markdown_table(head, uses))
     pages[PAGE] = with_part(pages[PAGE], "uses", SCRIPT, part)
     pages[PAGE] = with_part(pages[PAGE], "coverage", SCRIPT, check_coverage.tables())
     return pages
+
+
+def _shown(use: str) -> str:
+    """Return a use with its picture."""
+    return f"![{SHOWN[use][0]}](../images/uses/{use.replace(' ', '_')}.webp) {use}"
+
+
+class _Recorder(Lab):
+    """A lab of MuJoCo that keeps its recordings."""
+
+    def __init__(self) -> None:
+        super().__init__(backend("mujoco"))
+        self.recordings: list[Recording] = []
+
+    def rollout(self, *scene: Any, **changes: Any) -> Recording:
+        self.recordings.append(super().rollout(*scene, **changes))
+        return self.recordings[-1]
+
+
+def draw_uses() -> None:
+    """Draw the end of the scene that shows each use, in MuJoCo."""
+    for use, (check, name, distance_m) in SHOWN.items():
+        lab = _Recorder()
+        run_check(lab, checks([check])[0])
+        held = [r for r in lab.recordings if name in r.states or name in r.nodes_m]
+        picture = Image.fromarray(_picture(held[-1], name, distance_m))
+        file = PICTURE.parent / "uses" / f"{use.replace(' ', '_')}.webp"
+        file.parent.mkdir(exist_ok=True)
+        picture.save(file, quality=60)
+
+
+def _picture(end: Recording, name: str, distance_m: float) -> NDArray[np.uint8]:
+    """Return a picture of the last sample around a body, shape [90, 120, 3]."""
+    poses = {body: states[-1, :7] for body, states in end.states.items()}
+    nodes_m = {body: nodes[-1] for body, nodes in end.nodes_m.items()}
+    target = nodes_m[name].mean(axis=0) if name in nodes_m else poses[name][:3]
+    view = scene_view(end.scene).model_copy(
+        update={"target_m": vector(target), "distance_m": distance_m}
+    )
+    rest_m = {body: nodes[0] for body, nodes in end.nodes_m.items()}
+    renderer = SceneRenderer(end.scene, rest_m, 120, 90, view=view, materials={})
+    with closing(renderer):
+        return renderer.picture(poses, nodes_m)
 
 
 def _verdict(use: str, column: EngineColumn) -> str:
@@ -111,6 +184,7 @@ def draw() -> None:
         fontsize=11,
     )
     figure.savefig(PICTURE, dpi=90)
+    draw_uses()
 
 
 def _draw_worst(axes: Axes, use: str, column: EngineColumn, row: int) -> None:

@@ -1,207 +1,222 @@
-"""Write `gauge_envs/tools/conformance/causes.json`: the checks that fail with each planted fault.
+"""Count the planted faults that the checks catch, and those whose cause the first line of the report names.
 
     python -m studies.planted_faults.causes faults.jsonl
 
-runs the checks of rigid bodies on each fault, in some ten minutes, and appends them to a file. Faults that the file has
-already are not run again. The faults of cloth also run the checks of cloth. Without a file, it counts the causes that
-the report names for each fault if the table lacks it.
+runs the checks of rigid bodies on each fault, in some fifteen minutes, and appends the results to a file. Faults that
+the file has already are not run again. Faults whose name has "cloth" also run the checks of cloth.
 """
 
 import json
+import re
 import sys
-from collections import Counter
 from pathlib import Path
 from typing import Any
 
 from gauge_envs.backends import backend
-from gauge_envs.tools.conformance import Level, Status, causes, checks, run_checks
-from gauge_envs.tools.conformance.results import read_columns
+from gauge_envs.tools.conformance import Level, checks, run_checks
+from gauge_envs.tools.conformance.causes import likely_causes
 from studies.planted_faults.contract_faults import FAULTS
+from studies.planted_faults.fifth_set import FAULTS5
 from studies.planted_faults.fourth_set import FAULTS4
+from studies.planted_faults.sixth_set import FAULTS6
 from studies.planted_faults.third_set import FAULTS3
 from tests.faults import Fault
 
-ROOT = Path(__file__).parents[2]
-TABLE = Path(causes.__file__).with_suffix(".json")
 OWN = {"life", "second-process"}
 """Checks of this process, which no fault changes."""
 
-CAUSES = {
-    "capsule falls through a box": "some pairs of shapes have no contact",
-    "first part of a compound": "only the first part of a compound collides",
-    "hinged pass the world": "bodies on hinges have no contact with fixed bodies; free bodies have",
-    "press ignored by friction": "friction does not follow forces that press: it is bounded by the weight",
-    "small bodies hover": "small bodies hover: margins of contacts are lengths for large bodies",
-    "sticky start": "friction at rest is larger than in sliding: bodies start to slide too late",
-    "gyroscopic drift": "the gyroscopic term is missing or of first order in the step",
-    "warm start survives reset": "reset() leaves forces, contacts or warm starts of the run before",
-    "torque in link frame": "apply_wrench takes the torque in another frame, as that of the body",
-    "reported friction reversed": "contact_forces are those on the other body, or a part has the other sign",
-    "friction pyramid": "friction is a pyramid in place of a cone: it depends on the direction",
-    "friction of bodies, not pairs": "friction is that of bodies, not of pairs, or two values are combined",
-    "restitution threshold": "bodies do not rebound below a threshold of speed",
-    "rebound gains energy": "restitution differs from Contact.restitution at every speed",
-    "inertia of a compound": "bodies of several parts have another inertia or another frame of it",
-    "start velocity at the centre": "reset takes the start velocity as that of the centre of mass, not of the origin",
-    "spin limit": "the spin of bodies is limited",
-    "falls asleep in motion": "slow bodies fall asleep although they move",
-    "snags at seams": "sliding bodies lose speed at seams of flush boxes",
-    "contact buffer overflows": "contacts beyond a limit of their number are dropped",
-    "wrench of the first body": "apply_wrench acts on another body than the named one",
-    "worlds collide": "worlds of a batch act on each other by contacts or forces",
+MASS = "another mass"
+INERTIA, SOLIDS = "free bodies have another inertia", "solids other than boxes"
+WORDS = {
+    "capsule falls through a box": "the pair has no contact",
+    "first part of a compound": "check each part of a compound",
+    "hinged pass the world": "hinged bar on a shelf",
+    "press ignored by friction": "does not follow a force that presses",
+    "small bodies hover": "margins, offsets",
+    "sticky start": "friction at rest is larger",
+    "gyroscopic drift": "gyroscopic",
+    "warm start survives reset": "leaves something behind",
+    "torque in link frame": "the torque and not the force",
+    "reported friction reversed": "its friction has the other sign",
+    "friction pyramid": "pyramid",
+    "friction of bodies, not pairs": "of bodies, not of pairs",
+    "restitution threshold": "threshold of speed",
+    "rebound gains energy": "restitution is larger",
+    "inertia of a compound": SOLIDS,
+    "start velocity at the centre": "as that of the centre of mass",
+    "spin limit": "spin has a limit",
+    "falls asleep in motion": "fall asleep",
+    "snags at seams": "at the inner edge",
+    "contact buffer overflows": "beyond a limit of their number",
+    "wrench of the first body": "acts on another body",
+    "worlds collide": "worlds act on each other",
     "heavy sinks through light": "heavy bodies sink into light ones",
-    "lying cylinder rocks": "contact points of lying cylinders appear and disappear, so that they rock",
-    "spinning friction needs rolling": "torsional friction is missing or has another unit",
-    "turns as it slides": "friction acts unevenly on the contacts of a face, which turns sliding bodies",
-    "cloth drifts in free fall": "cloth gains momentum",
-    "self-contact disables others": "cloth that touches itself passes through other bodies",
-    "mass of small bodies": "small bodies have another mass",
-    "hinge anchor from the centre": "the anchor of a hinge is misplaced, as by the offset of the centre of mass",
-    "default damping": "velocities and spins of free bodies are damped",
-    "friction of mass": "friction differs between bodies: it scales with a mass, or belongs to bodies instead of pairs",
+    "lying cylinder rocks": "bodies rock",
+    "spinning friction needs rolling": "for torsion_m",
+    "turns as it slides": "acts unevenly",
+    "cloth drifts in free fall": "momentum is gained",
+    "self-contact disables others": "passes through",
+    "mass of small bodies": MASS,
+    "hinge anchor from the centre": "another anchor",
+    "default damping": "is damped",
+    "friction of mass": "depends on a mass",
     "fast impacts lose": "fast impacts rebound too slowly",
-    "half contact forces": "contact_forces are scaled, as by another step",
-    "force in first substep": "apply_wrench applies a part of the wrench, or acts in a part of the steps",
-    "force at origin": "the force of apply_wrench acts at the body's origin, not at its centre of mass",
-    "no products of inertia": "products of inertia are lost: principal axes are those of the body frame",
-    "inertia of the bounding box": "bodies of several parts have another inertia or another frame of it",
-    "cylinder on plane": "cylinders collide at another distance or along another axis",
-    "spin of driven bodies": "friction does not see the spin of driven bodies",
-    "resting spheres absorb": "free bodies do not rebound from each other, as where one is at rest",
-    "spin lost at start": "the start's spin is lost",
-    "no rolling friction": "rolling friction is missing or has another unit",
-    "wrench of the first world": "all worlds have the wrench of the first",
-    "stale contact forces": "contact_forces stay after bodies part",
-    "cylinder axis": "cylinders collide at another distance or along another axis",
+    "half contact forces": "0.5 times that of the law",
+    "force in first substep": "in a part of the steps",
+    "force at origin": "beside the centre of mass",
+    "no products of inertia": SOLIDS,
+    "inertia of the bounding box": SOLIDS,
+    "cylinder on plane": "cylinder on fixed plane",
+    "spin of driven bodies": "the spin of driven bodies",
+    "resting spheres absorb": "do not rebound from each other",
+    "spin lost at start": "spin of free bodies differs from the start's",
+    "no rolling friction": "for rolling_m",
+    "capsules sink": "capsule on plane",
+    "wrench of the first world": "the wrench of another world",
+    "stale contact forces": "stays after the bodies part",
+    "cylinder axis": "the cylinder's axis",
     "hinges damped": "hinges are damped",
-    "stacks rock": "stacked boxes rock: a face has too few contacts, or contacts appear and disappear",
-    "gravity x 1.02": "gravity differs from the scene's",
-    "gravity upward": "gravity has the other sign",
-    "speed damped": "velocities of free bodies are damped",
-    "spin damped": "spins of free bodies are damped",
-    "speed limit": "the speed of bodies is limited",
-    "no gyro": "the gyroscopic term is missing or of first order in the step",
-    "inertia x 1.25": "free bodies have another inertia",
-    "inertia axes": "the inertia of free bodies has another frame, or its principal axes are mixed",
-    "mass x 1.2": "bodies have another mass",
-    "centre at origin": "the centre of mass does not follow from the shape: it is at the origin",
-    "friction x 1.2": "friction is larger than Contact.friction everywhere",
-    "friction x 0.9": "friction is smaller than Contact.friction everywhere",
-    "restitution x 0.8": "restitution is smaller than Contact.restitution at every speed",
-    "restitution 0": "bodies do not rebound: restitution is ignored",
-    "torsion x 2": "torsional friction is missing or has another unit",
-    "rolling x 2": "rolling friction is missing or has another unit",
-    "force in body frame": "apply_wrench takes the force in another frame, as that of the body",
-    "no torque": "apply_wrench ignores the torque",
-    "double wrench": "apply_wrench applies a multiple of the wrench",
-    "hover": "bodies hover: contacts have a margin",
-    "sink": "bodies sink in: contacts have an allowed depth",
-    "soft contacts": "contacts are soft: they yield under loads",
-    "few iterations": "the solver of contacts ends before it converges",
-    "regularized": "friction creeps: it is regularized",
-    "all pairs collide": "pairs collide that Scene.contacts does not list",
-    "dynamic pairs pass": "free bodies collide with free bodies alone or with fixed ones alone",
-    "tether long": "the string of a tether has another length",
-    "edges read as half edges": "edges are read as half edges, or the reverse",
-    "the inertia of a sphere": "the inertia of free bodies has another frame, or its principal axes are mixed",
-    "the first part of a compound": "only the first part of a compound is built",
-    "a leaning plane built level": "turned planes are built level",
-    "hinge axis in the body frame": "the axis of a hinge is read in the body frame",
-    "frictions of two bodies multiplied": "friction is that of bodies, not of pairs, or two values are combined",
-    "friction 20 % low": "friction is smaller than Contact.friction everywhere",
-    "a driven body without velocity": "driven bodies have no velocity: drive() teleports them",
-    "a driven body without acceleration": "drive() ignores the acceleration",
-    "a driven body an interval late": "driven bodies come an interval late",
+    "friction is restitution": "that of another constant",
+    "stacks rock": "stacks do not come to rest",
+    "gravity x 1.02": "gravity is not",
+    "gravity upward": "gravity is not",
+    "speed damped": "the speed of free bodies is damped",
+    "spin damped": "the spin of free bodies is damped",
+    "speed limit": "speed has a limit",
+    "no gyro": "gyroscopic",
+    "inertia x 1.25": INERTIA,
+    "inertia axes": INERTIA,
+    "mass x 1.2": MASS,
+    "centre at origin": "the centre of mass does not follow",
+    "friction x 1.2": "friction is larger",
+    "friction x 0.9": "friction is smaller",
+    "restitution x 0.8": "restitution is smaller",
+    "restitution 0": "restitution is smaller",
+    "torsion x 2": "for torsion_m",
+    "rolling x 2": "for rolling_m",
+    "force in body frame": "the force and not the torque",
+    "no torque": "the torque and not the force",
+    "double wrench": "a multiple or a part",
+    "hover": "bodies hover",
+    "sink": "bodies sink in",
+    "soft contacts": "contacts are soft",
+    "few iterations": "before it converges",
+    "regularized": "friction is regularized",
+    "all pairs collide": "bodies without a contact are stopped",
+    "dynamic pairs pass": "free bodies have no contact with each other",
+    "tether long": "in length",
+    "edges read as half edges": "another size",
+    "the inertia of a sphere": INERTIA,
+    "the first part of a compound": "parts of compounds are missing",
+    "a leaning plane built level": "the plane is level",
+    "hinge axis in the body frame": "another anchor or axis",
+    "frictions of two bodies multiplied": "values of two bodies are combined",
+    "friction 20 % low": "friction is smaller",
+    "a driven body without velocity": "it reports 0 times its velocity",
+    "a driven body without acceleration": "the acceleration that drive() gives",
+    "a driven body an interval late": "one interval late",
+    "hull offset": "convex solid",
+    "uneven friction": "depends on the direction",
+    "hinged inertia": "inertia",
+    "rollers hop": "hops|rock or roll",
+    "velocity of driven bodies": "driven bod",
+    "stacks sink": "sink|free bodies",
+    "fast bodies pass": "fast|it passes through|an impact is missed",
+    "first run differs": "the same seed gives",
+    "simulations share time": "simulations share",
+    "deflected slides": "unevenly|deflect|direction",
+    "centre of mass mirrored": "centre of mass",
+    "rubbing hinges": "rub",
+    "light bodies float": "gravity",
+    "root of restitution": "restitution is larger",
+    "root of friction": "friction is larger|each pair has another factor",
+    "wrenches add": "a multiple or a part|replaces it",
+    "torsion times friction": "for torsion_m",
+    "shifted worlds": "course of start",
+    "forces in contact frame": "frame",
+    "tall boxes": "another size|a size differs",
+    "strings taut": "in length",
+    "cylinder as box": "inertia",
+    "air drag": "damped",
+    "last contact wins": "of bodies, not of pairs|another factor|combined",
+    "small spheres": "size",
+    "start spin in body frame": "start",
+    "friction over points": "friction is smaller|shape",
+    "cylinder inertia along y": "inertia",
+    "spinning balls sink": "sink|off their heights",
+    "wrench grows": "a multiple or a part",
+    "free pairs collide": "without a contact are stopped",
+    "velocity and spin swapped": "columns 7 to 12",
+    "start velocities ignored": r"reset\(starts\)",
+    "lifted at impacts": "gain energy|restitution is larger|rebound",
+    "global friction": "another factor|combined",
+    "gravity in a part of the steps": "gravity",
+    "stale after reset": "after reset|reset restores",
+    "shared gravity": "shares gravity|share their state",
+    "anchor off": "anchor",
+    "heavy compounds": "another mass",
+    "no spin of drive": "turning block",
+    "dead solids": "rebound",
+    "tilted gravity": "gravity",
+    "order of pairs": "order of the pair|reversed",
+    "force limit": "the force and not the torque|a multiple or a part",
+    "only the first world driven": "driven motion",
+    "whole frames": "simulates the given time",
+    "half friction reported": "the force on the sliding",
+    "raised planes": "plane",
 }
-"""Cause by the name of a fault. Faults that only one check shows keep its own diagnosis."""
-
-Row = tuple[str, float | None]
-"""Sign of the error of a failed check, and the measured value."""
+"""Patterns of words by which the first line names the cause of a fault."""
 
 
-def failures(engine: Any, has_cloth: bool) -> dict[str, Row]:
-    """Return the failed checks of an engine."""
+def run(engine: Any, has_cloth: bool) -> tuple[dict[str, float | None], list[str]]:
+    """Return the failed checks of an engine with their values, and the causes that the report names."""
     levels = {Level.RIGID, Level.CONTACT} | ({Level.CLOTH} if has_cloth else set())
     only = [check.id for check in checks() if check.level in levels]
-    results = run_checks(engine, only=[name for name in only if name not in OWN])
-    return {
-        result.check: (causes.sign_of(result), result.measured)
-        for result in results
-        if result.is_bad
-    }
+    results = list(run_checks(engine, only=[name for name in only if name not in OWN]))
+    failed = {result.check: result.measured for result in results if result.is_bad}
+    return failed, likely_causes(results)
 
 
-def run(file: Path) -> dict[str, dict[str, Row]]:
-    """Return the failed checks of all faults by name, of a file and of runs that it lacks."""
-    known = {}
+def _is_caught(failed: dict[str, float | None], own: dict[str, float | None]) -> bool:
+    """Return whether a check fails that passes in the healthy engine, or by 5 % more."""
+    return any(
+        name not in own or abs((value or 0.0) - own[name]) > 0.05 * abs(own[name])
+        for name, value in failed.items()
+    )
+
+
+def main(file: Path) -> None:
+    """Run the faults that a file lacks, and print counts and the faults that are not named."""
+    known: dict[str, Any] = {}
     if file.exists():
         known = dict(map(json.loads, file.read_text().splitlines()))
-    sets = (FAULTS3 | FAULTS4).items()
-    faults = {"healthy": Fault(), **{name: entry.fault for name, entry in sets}}
+    sets = {
+        name: {key: entry.fault for key, entry in entries.items()}
+        for name, entries in (
+            ("3", FAULTS3),
+            ("4", FAULTS4),
+            ("5", FAULTS5),
+            ("6", FAULTS6),
+        )
+    }
     healthy = backend("mujoco")
-    for name, fault in (faults | FAULTS).items():
-        if name not in known:
-            known[name] = failures(fault.engine(healthy, fault), "cloth" in name)
+    for title, faults in (
+        {"": {"healthy": Fault()}} | sets | {"contract": FAULTS}
+    ).items():
+        for name in faults.keys() - known.keys():
+            engine = faults[name].engine(healthy, faults[name])
+            known[name] = run(engine, "cloth" in name)
             with file.open("a") as stream:
                 stream.write(json.dumps([name, known[name]]) + "\n")
-    return known
-
-
-def released() -> dict[str, float]:
-    """Return the share of released engines with their own presets that fail each check, if it is above 0.02."""
-    columns = read_columns(ROOT / "scoring" / "conformance.json")
-    shares = {}
-    for check in checks():
-        results = [
-            column.results[check.id]
-            for column in columns
-            if column.name == "default" and check.id in column.results
-        ]
-        ran = [each for each in results if each.status is not Status.UNSUPPORTED]
-        share = (sum(each.is_bad for each in ran) + 0.25) / (len(ran) + 1)
-        if share > 0.04:
-            shares[check.id] = round(share, 2)
-    return shares
-
-
-def _is_new(row: Row, own: Row | None) -> bool:
-    """Return whether a failure is not that of the healthy engine, with the same value within 5 %."""
-    if own is None or own[0] != row[0] or own[1] is None or row[1] is None:
-        return own is None or own[0] != row[0]
-    return abs(row[1] - own[1]) > 0.05 * abs(own[1])
-
-
-def table(known: dict[str, dict[str, Row]]) -> dict[str, Any]:
-    """Return the table of causes; faults that fewer than two checks show are left out."""
-    own = known["healthy"]
-    faults: dict[str, list[dict[str, str]]] = {}
-    for name, cause in CAUSES.items():
-        rows = known.get(name, {}).items()
-        new = {check: row[0] for check, row in rows if _is_new(row, own.get(check))}
-        members = faults.setdefault(cause, [])
-        if len(new) > 1 and new not in members:
-            members.append(dict(sorted(new.items())))
-    return {
-        "faults": {cause: members for cause, members in faults.items() if members},
-        "released": released(),
-    }
-
-
-def left_out() -> Counter[str]:
-    """Return how many faults get no cause, the true one or another one if the table lacks the fault."""
-    faults, shares = json.loads(TABLE.read_text()).values()
-    ran = {check.id for check in checks()}
-    counts: Counter[str] = Counter()
-    for cause, members in faults.items():
-        for member in members:
-            others = faults | {cause: [each for each in members if each != member]}
-            named = causes.nearest(causes.ranked(member, ran, (others, shares)))
-            is_true = cause in (fit.cause for fit in named)
-            counts["no cause" if not named else "true" if is_true else "another"] += 1
-    return counts
+        if not title:
+            continue
+        caught = [n for n in faults if _is_caught(known[n][0], known["healthy"][0])]
+        named = [n for n in caught if re.search(WORDS[n], known[n][1][0])]
+        print(f"set {title}: {len(caught)} of {len(faults)} caught, {len(named)} named")
+        for name in caught:
+            if name not in named:
+                print(f"  {name}: {known[name][1][0]}")
 
 
 if __name__ == "__main__":
-    if len(sys.argv) == 1:
-        sys.exit(f"{dict(left_out())}")
-    TABLE.write_text(json.dumps(table(run(Path(sys.argv[1]))), indent=1) + "\n")
+    main(Path(sys.argv[1]))

@@ -93,7 +93,7 @@ class _HalfForces(Planted):
         return lambda: 0.5 * read()
 
 
-class _FirstSubstep(Planted):
+class _FirstSubstep(Stepped):
     """A wrench acts in the first step of a call."""
 
     def apply_wrench(self, body, wrenches):

@@ -91,6 +91,10 @@ def matrix(data, model, name):
 class Stepped(Planted):
     """Own loop over steps, as in the healthy engine, with a call before each."""
 
+    def _step_worlds(self, thread, count):
+        for world in range(thread, self.world_count, self._thread_count):
+            self._step(world, count)
+
     def _step(self, world, count):
         readers = self._force_readers[world]
         for reader in readers:

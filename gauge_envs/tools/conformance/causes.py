@@ -1,109 +1,105 @@
-"""The cause that the results of all checks together suggest: the planted fault whose results are nearest.
+"""The cause that the results of all checks together suggest.
 
-`causes.json` has the checks that fail with each planted fault, with the signs of their errors, and the share of
-released engines that fail a check. A failure weighs -log(share): what most engines fail says little of one.
+`causes.json` has rules in the order of mechanics: the calls of the contract, gravity, contacts that are missing, free
+motion, wrenches, hinges, restart, worlds, driven bodies, heights, friction, impacts. What fails first explains what
+depends on it. A rule has
+
+- `fails`: checks that fail, with `<` or `>` where they must measure too little or too much, or less or more than a
+  number;
+- `passes`: checks that do not fail;
+- `equal`: checks whose errors are one factor;
+- `cause`: the cause; without it, the diagnosis of its check is the cause;
+- `explains`: patterns of checks that also fail by this cause; all checks if there are none.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
+import re
+from collections.abc import Mapping, Sequence
+from fnmatch import fnmatchcase
 from functools import cache
-from math import log
 from pathlib import Path
-from typing import NamedTuple
+
+import numpy as np
 
 from gauge_envs.tools.conformance.model import CheckResult, Status
 
-RARE = 0.02
-"""Share of engines for a check that all released engines pass."""
+ONE_FACTOR = 0.03
+"""Largest difference of errors that are one factor, over the largest of them."""
 
-NEAR = 0.7
-"""Smallest agreement of a cause, of 1."""
+FAILURE = re.compile(r"([\w.-]+?)(?:([<>])([\d.]*))?")
+"""Check, sign of its error, and a bound of its value."""
 
-LEAST = log(7.0)
-"""Smallest weight of the failures that a cause explains: fewer happen to one engine in seven by chance."""
-
-ALIKE = 0.1
-"""Difference of agreement up to which causes fit alike."""
-
-Signs = Mapping[str, str]
-"""Failures by check: `<` or `>` where it measures too little or too much, `!` for an error."""
-
-
-class _Fit(NamedTuple):
-    """Agreement of failures with a cause, and the checks that fail with its nearest planted fault."""
-
-    agreement: float
-    cause: str
-    fails: frozenset[str]
-
-
-Table = tuple[Mapping[str, Sequence[Signs]], Mapping[str, float]]
-"""Signs of planted faults by cause, and the share of released engines that fail each check."""
+Rule = Mapping[str, str]
+Results = Mapping[str, CheckResult]
 
 
 @cache
-def _table() -> Table:
-    table = json.loads(Path(__file__).with_suffix(".json").read_text())
-    return table["faults"], table["released"]
+def rules() -> list[Rule]:
+    """Return the rules, from the contract to impacts."""
+    rows: list[Rule] = json.loads(Path(__file__).with_suffix(".json").read_text())
+    return rows
 
 
 def likely_causes(results: Sequence[CheckResult]) -> list[str]:
-    """Return the causes that explain several results, each with checks that fail and pass by it."""
-    ran = {r.check: r for r in results if r.status is not Status.UNSUPPORTED}
-    left = {name: sign_of(result) for name, result in ran.items() if result.is_bad}
+    """Return the causes of failures, each with checks that fail and pass by it; the most basic one first.
+
+    A failure that an earlier rule explains has no other cause. A rule without a cause counts only as the first.
+    """
+    ran = {result.check: result for result in results}
+    left = {name for name, result in ran.items() if result.is_bad}
     texts: list[str] = []
-    while best := nearest(fits := ranked(left, ran.keys(), _table())):
-        passed = [name for fit in fits for name in sorted(fit.fails & ran.keys())]
-        right = [name for name in dict.fromkeys(passed) if not ran[name].is_bad]
-        texts.append(_text(best, sorted(best[0].fails & left.keys()), right))
-        for name in frozenset().union(*(fit.fails for fit in best)):
-            left.pop(name, None)
+    for rule in rules():
+        failed, *_ = _names(rule["fails"])
+        if failed not in left or not _matches(rule, ran):
+            continue
+        if "cause" in rule or not texts:
+            texts.append(_text(rule, ran))
+        globs = rule.get("explains", "*").split()
+        left -= {name for name in left for glob in globs if fnmatchcase(name, glob)}
     return texts
 
 
-def sign_of(result: CheckResult) -> str:
-    """Return the sign of the error of a check."""
-    if result.measured is None or result.expected is None:
-        return "!"
-    return "<" if result.measured < result.expected else ">"
+def _names(checks: str) -> list[str]:
+    """Return the ids of checks, without signs."""
+    return [FAILURE.fullmatch(check)[1] for check in checks.split()]  # type: ignore[index]
 
 
-def nearest(fits: Sequence[_Fit]) -> list[_Fit]:
-    """Return the best of ranked fits and those that fit alike; none if the best is not near."""
-    near = [fit for fit in fits if fit.agreement >= NEAR]
-    return [fit for fit in near if fit.agreement > near[0].agreement - ALIKE]
+def _matches(rule: Rule, ran: Results) -> bool:
+    passes = _names(rule.get("passes", ""))
+    return (
+        all(_fails(ran, check) for check in rule["fails"].split())
+        and all(name in ran and not ran[name].is_bad for name in passes)
+        and _has_one_factor([ran[name] for name in _names(rule.get("equal", ""))])
+    )
 
 
-def ranked(signs: Signs, ran: Iterable[str], table: Table) -> list[_Fit]:
-    """Return the agreement with planted faults of which two checks fail, the best first.
-
-    It is the weight of equal failures over that of all that the fault has and half of that of the others.
-    """
-    faults, shares = table
-    fits = []
-
-    def weight(checks: Iterable[str]) -> float:
-        return -sum(log(shares.get(name, RARE)) for name in checks)
-
-    for cause, members in faults.items():
-        for member in members:
-            expected = {name: member[name] for name in member.keys() & ran}
-            equal = {name for name, sign in expected.items() if signs.get(name) == sign}
-            if len(equal) > 1 and weight(equal) > LEAST:
-                others = weight(signs.keys() - expected.keys())
-                agreement = weight(equal) / (weight(expected) + 0.5 * others)
-                fits.append(_Fit(agreement, cause, frozenset(expected)))
-    return sorted(fits, reverse=True)
+def _fails(ran: Results, check: str) -> bool:
+    """Return whether a check fails, with a sign of its error or beyond a bound."""
+    name, sign, bound = FAILURE.fullmatch(check).groups()  # type: ignore[union-attr]
+    result = ran.get(name)
+    if result is None or not result.is_bad or not sign:
+        return result is not None and result.is_bad
+    limit = float(bound) if bound else result.expected
+    if result.measured is None or limit is None:
+        return False
+    return result.measured < limit if sign == "<" else result.measured > limit
 
 
-def _text(best: Sequence[_Fit], failed: Sequence[str], passed: Sequence[str]) -> str:
-    """Return causes that fit alike, with checks that fail, and those that pass against the next causes."""
-    causes = [*dict.fromkeys(fit.cause for fit in best)][:3]
-    text = "; or ".join(causes)
-    if len(causes) > 1:
-        text = f"several causes fit: {text}"
-    proof = f"fails: {', '.join(failed[:6])}"
-    proof += f"; passes: {', '.join(passed[:3])}" if passed else ""
-    return f"{text} ({proof})"
+def _has_one_factor(results: Sequence[CheckResult]) -> bool:
+    """Return whether the errors of failed checks are one factor."""
+    shares = [(each.measured or 0.0) / (each.expected or 1.0) for each in results]
+    return not shares or bool(np.ptp(shares) < ONE_FACTOR * np.abs(shares).max())
+
+
+def _text(rule: Rule, ran: Results) -> str:
+    """Return a cause with the checks that fail and pass by it, or the diagnosis of its check."""
+    failed = _names(rule["fails"])
+    if "cause" not in rule:
+        result = ran[failed[0]]
+        return f"{result.of.title}: {result.diagnosis} ({result.check} fails)"
+    proof = f"fails: {', '.join(failed)}"
+    right = [n for n in _names(rule.get("passes", "")) if ran[n].status is Status.PASS]
+    proof += f"; passes: {', '.join(right)}" if right else ""
+    return f"{rule['cause']} ({proof})"

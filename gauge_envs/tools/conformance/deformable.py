@@ -453,7 +453,7 @@ STRIKE: dict[str, Any] = {
         "no force acts from outside; a mesh has the mass at its nodes to 1 %",
         relative=0.01,
     ),
-    "cause": "the mass of the nodes is not mass_kg, or the contact pushes only body or block",
+    "cause": "momentum is gained or lost: the mass of the nodes is not mass_kg, or the contact pushes only one of both",
 }
 """Texts of the checks of momentum."""
 

@@ -257,9 +257,6 @@ def worst_friction(
     if all(abs(shares[name] / slides[name][1] - 1.0) < 0.05 for name in slides):
         cause = "the engine multiplies the values of two bodies, and it is the pair's"
         worst = replace(worst, hint="the friction is squared", cause=cause)
-    elif np.ptp([*shares.values()]) < 0.02:
-        cause = "friction is not Contact.friction; all of it has this factor"
-        worst = replace(worst, cause=cause)
     elif np.abs(worst.measured - np.sqrt([0.5, 2.0])).min() < 0.01:
         worst = replace(worst, cause="friction is a pyramid in place of a cone")
     supports = {name: support for name, (*_, support) in slides.items()}

@@ -106,7 +106,7 @@ def centre_m(rollout: Recording, name: str) -> FloatArray:
 SPANS_S = ((0.0, 0.8), (0.8, 1.8), (2.1, 2.6))
 SPEEDS_M_PER_S = (20.0, -13.0, 0.1, -0.004, 0.001)
 RATES_RAD_PER_S = (200.0, 45.0, -5.0, 0.05)
-STEADY, DAMPED = 4e-3, "free bodies are damped"
+STEADY = 4e-3
 LEVEL, DIRECTION = np.array([0.6, -0.8, 0.0]), np.array([0.6, -0.64, 0.48])
 
 
@@ -160,20 +160,24 @@ def _by_speed(errors: FloatArray) -> str:
         errors: Relative error of the speed of each ball in each span, shape [ball_count, span_count].
     """
     moving = len(SPEEDS_M_PER_S)
-    causes = set()
-    for sizes, rows in (
-        (np.abs(SPEEDS_M_PER_S), errors[:moving]),
-        (np.abs(RATES_RAD_PER_S), errors[moving:]),
+    causes = []
+    for kind, sizes, rows in (
+        ("speed", np.abs(SPEEDS_M_PER_S), errors[:moving]),
+        ("spin", np.abs(RATES_RAD_PER_S), errors[moving:]),
     ):
         off = ~(rows < STEADY).all(axis=1)
-        if off.all():
-            grows = (rows[:, 0] < 0.7 * rows[:, -1]).all()
-            causes.add(DAMPED if grows else "the start has another velocity or spin")
-        elif off.any() and sizes[off].min() > sizes[~off].max():
-            causes.add("speed or spin has a limit")
-        elif off.any() and sizes[off].max() < sizes[~off].min():
-            causes.add("slow bodies fall asleep")
-    return causes.pop() if len(causes) == 1 else ""
+        if not off.any():
+            continue
+        others = sizes[~off]
+        if (sizes[off].max() < others).all() and not off.all():
+            causes.append(f"bodies of small {kind} fall asleep")
+        elif (rows[off, 0] < 0.7 * rows[off, -1]).all():
+            causes.append(f"the {kind} of free bodies is damped")
+        elif off.all():
+            causes.append(f"the {kind} of free bodies differs from the start's")
+        elif (sizes[off].min() > others).all():
+            causes.append(f"{kind} has a limit")
+    return "; ".join(causes)
 
 
 def _tumble(lab: Lab) -> Recording:

@@ -119,19 +119,6 @@ def _rebounds(rollout: Recording, shots: Mapping[str, _Shot]) -> dict[str, float
     return rebounds
 
 
-def _worst(rebounds: Mapping[str, float]) -> Measurement:
-    """Measure the worst rebound."""
-    through = [name for name, rebound in rebounds.items() if rebound < -1.0]
-    if through:
-        return Measurement(
-            measured=rebounds[through[0]],
-            expected=1.0,
-            hint=f"it passes through at {', '.join(through)}",
-            cause="no contact",
-        )
-    return ratio(rebounds, "the rebound")
-
-
 EDGES = {
     "an edge across an edge": _Shot(
         0.6,
@@ -160,7 +147,7 @@ SLOW = {
     tolerance=Tolerance(
         "2 % of the fastest; a threshold takes 15 or more", absolute=3.0
     ),
-    cause="bodies do not rebound below a threshold speed: set it to 0",
+    cause="bodies do not rebound below a threshold speed: set it to 0; or slow bodies fall asleep",
 )
 def rebound_slow(lab: Lab) -> Measurement:
     """Balls that fly against a wall with 300, 100, 60 and 30 mm/s; restitution 0.5, no gravity.
@@ -169,26 +156,13 @@ def rebound_slow(lab: Lab) -> Measurement:
 
     Source: Newton's law of restitution.
     """
-    rollout = _fly(lab, SLOW)
-    ratios = _rebounds(rollout, SLOW)
+    ratios = _rebounds(_fly(lab, SLOW), SLOW)
     expected = {name: 500.0 * shot.speed_m_per_s for name, shot in SLOW.items()}
     worst = max(SLOW, key=lambda name: expected[name] * abs(ratios[name] - 1.0))
-    asleep = [
-        name
-        for name, shot in SLOW.items()
-        if rollout.velocity(name)[rollout.sample_at(0.1), 0] < 0.9 * shot.speed_m_per_s
-    ]
-    dead = [name for name, rebound in ratios.items() if abs(rebound) < 0.2]
-    cause = ""
-    if asleep:
-        cause = f"the engine puts balls of {', '.join(asleep)} to sleep"
-    elif dead:
-        cause = f"a threshold speed of restitution, above {', '.join(dead)}"
     return Measurement(
         measured=expected[worst] * ratios[worst],
         expected=expected[worst],
         hint=f"the rebound of {worst} is wrong",
-        cause=cause,
     )
 
 
@@ -220,7 +194,7 @@ def _volley(lab: Lab) -> Recording:
     title="impacts in both orders, fast, slow and late",
     law="v'/v = e; v_n = v ((1 + e) / 2)^n in a row of n equal balls",
     tolerance=Tolerance("as for a drop: 1 % of the speed", absolute=0.012),
-    cause="an impact depends on the order of the pair, on which bodies move, on speed or on time",
+    cause="an impact depends on the order of the pair, on which bodies move, on speed or on time, or is missed",
 )
 def volley(lab: Lab) -> Measurement:
     """Balls of 0.1 kg that hit a wall, a free ball or a row of three with 0.5 to 16 m/s, early and late.
@@ -230,7 +204,7 @@ def volley(lab: Lab) -> Measurement:
     Source: Newton's law of restitution.
     """
     early, late = _rebounds(lab.once(_volley), VOLLEY), _rebounds(_fly(lab, LATE), LATE)
-    return _worst(early | late)
+    return ratio(early | late, "the rebound")
 
 
 @check(
@@ -247,7 +221,7 @@ def crossed_edges(lab: Lab) -> Measurement:
 
     Source: Newton's law of restitution; contract (scene.Contact): boxes have edges.
     """
-    return _worst(_rebounds(_fly(lab, EDGES), EDGES))
+    return ratio(_rebounds(_fly(lab, EDGES), EDGES), "the rebound")
 
 
 @check(

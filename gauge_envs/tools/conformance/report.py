@@ -11,7 +11,7 @@ from gauge_envs.pages.document import Document, Paragraph, Part, Tone
 from gauge_envs.pages.table import Column, Place, Table, grid
 from gauge_envs.pages.text import with_unit
 from gauge_envs.runs.workers import call_engine
-from gauge_envs.tools.conformance.catalog import FIRST, checks as all_checks
+from gauge_envs.tools.conformance.catalog import checks as all_checks
 from gauge_envs.tools.conformance.causes import likely_causes
 from gauge_envs.tools.conformance.model import Check, CheckResult, Status
 from gauge_envs.tools.conformance.results import EngineColumn, counts_text, levels
@@ -90,11 +90,7 @@ def engine_document(results: Sequence[CheckResult]) -> Document:
     if "rigid" in verdicts:
         parts.append(Paragraph(NOT_IN_RIGID, Tone.NOTE))
     parts += [Paragraph(f"Likely: {text}.") for text in likely_causes(results)]
-    # Failures that make other results worthless come first.
-    failures = sorted(
-        (result for result in results if result.is_bad),
-        key=lambda result: (result.check not in FIRST, result.status != Status.ERROR),
-    )
+    failures = [result for result in results if result.is_bad]
     columns = (
         Column("", "check", lambda result: f"{result.of.title} ({result.check})"),
         Column("", "expected", expected_text),

@@ -13,11 +13,10 @@ from gauge_envs.errors import BackendError, UnknownNameError
 from gauge_envs.scene import Box, Motion
 from gauge_envs.tools.conformance import (
     Status,
-    causes as causes_module,
     checks,
     run_checks,
 )
-from gauge_envs.tools.conformance.causes import likely_causes
+from gauge_envs.tools.conformance.causes import likely_causes, rules
 from gauge_envs.tools.conformance.report import engine_document
 from gauge_envs.tools.conformance.results import levels
 
@@ -87,63 +86,54 @@ def test_no_earlier_check_fails(name):
 
 
 @pytest.fixture
-def causes(monkeypatch):
-    """Return a function: the causes of failures with signs, by a table of three causes."""
-    (result,) = run_checks(MUJOCO, only=["tumble-long"])
+def causes():
+    """Return a function: the causes of failures, each with the factor of its value."""
+    (result,) = run_checks(MUJOCO, only=["time"])
     passed = {entry.id: replace(result, of=entry) for entry in checks()}
-    faults = {
-        "gravity": [{"free-fall": "<", "pendulum-period": ">", "slide": "<"}],
-        "friction": [{"slide": "<", "slide-between": "<"}],
-        "other friction": [{"slide": ">", "slide-between": ">"}],
-    }
-    released = {"volley": 0.7, "rebound-flat": 0.7}
-    monkeypatch.setattr(causes_module, "_table", lambda: (faults, released))
 
-    def named(**failed):
+    def named(failed):
         bad = {
             name: replace(
-                passed[name],
-                status=Status.FAIL,
-                expected=1.0,
-                measured=0.9 if sign == "<" else 1.1,
+                passed[name], status=Status.FAIL, expected=1.0, measured=factor
             )
-            for name, sign in failed.items()
+            for name, factor in failed.items()
         }
         return likely_causes([*(passed | bad).values()])
 
     return named
 
 
-GRAVITY = {"free-fall": "<", "pendulum-period": ">", "slide": "<"}
+WRENCH = dict.fromkeys(("inertia", "stated-inertia"), 2.0)
+WORLDS = dict.fromkeys(("worlds-single", "worlds-neighbours"), 9.0)
+SLIDES = {"pucks-friction": 0.8, "slide": 0.8, "carry-slip": 0.8}
 
 
-def test_a_cause_needs_all_its_failures_with_their_signs(causes):
-    assert causes() == []
-    (text,) = causes(**GRAVITY)
-    assert text == "gravity (fails: free-fall, pendulum-period, slide)"
-    assert causes(**GRAVITY | {"free-fall": ">", "pendulum-period": "<"}) == []
-    (text,) = causes(**{"slide": ">", "slide-between": ">"})
-    assert text.startswith("other friction (")
+@pytest.mark.parametrize(
+    ("failed", "words"),
+    [
+        (SLIDES, "friction is smaller than Contact.friction, by one factor"),
+        (dict.fromkeys(SLIDES, 1.3), "friction is larger than Contact.friction"),
+        (SLIDES | {"carry-slip": 0.5}, "each pair has another factor of friction"),
+        ({"pucks-friction": 0.7, "slide": 0.7}, "friction depends on the direction"),
+        (SLIDES | {"free-fall": 0.9}, "gravity is not that of the scene"),
+        ({"oblique-slip": 3.0}, "friction in impacts has another value"),
+        ({"slide-straight": 2.0}, "a cube that slides does not turn"),
+    ],
+)
+def test_the_most_basic_failures_name_the_cause(causes, failed, words):
+    (text,) = causes(failed)
+    assert text.startswith(words)
 
 
-def test_a_single_failure_keeps_its_own_diagnosis(causes):
-    assert causes(slide="<") == []
+def test_a_cause_has_its_proof_and_others_follow(causes):
+    assert causes({}) == []
+    (wrench,) = causes(WRENCH | WORLDS)
+    assert wrench.endswith("(fails: inertia, stated-inertia; passes: wrench-force)")
 
 
-def test_failures_that_are_common_hide_no_cause_and_rare_ones_do(causes):
-    common = {"volley": "<", "rebound-flat": ">"}
-    assert len(causes(**GRAVITY, **common)) == 1
-    rare = dict.fromkeys(("tumble-long", "wall", "hold", "torsion", "grasp"), ">")
-    assert causes(**GRAVITY, **rare) == []
-
-
-def test_a_second_cause_is_named_after_the_first_and_equal_ones_together(causes):
-    both = causes(**GRAVITY, **{"slide-between": "<"})
-    assert both[0].startswith("gravity (")
-    table, _ = causes_module._table()
-    table["brakes"] = table["friction"]
-    (text,) = causes(**{"slide": "<", "slide-between": "<"})
-    assert text.startswith("several causes fit: friction; or brakes (")
+def test_each_check_is_the_last_to_explain_a_failure():
+    alone = {rule["fails"] for rule in rules() if "cause" not in rule}
+    assert alone >= {entry.id for entry in checks()}
 
 
 def test_a_broken_filter_is_found_before_motion():
