@@ -11,6 +11,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 from pydantic import BaseModel
+from scipy.optimize import linear_sum_assignment
 
 from gauge_envs.errors import FileError
 from gauge_envs.names import first_names
@@ -183,11 +184,22 @@ class Log:
         for name in SAMPLED:
             setattr(self, name, getattr(self, name)[samples])
 
+    def held_rows(self) -> NDArray[np.intp]:
+        """Return the row of the command that holds at each sample, shape [N]."""
+        rows = np.searchsorted(self.command_time_s, self.time_s, side="right") - 1
+        return np.maximum(rows, 0)
+
     def held_command(self) -> FloatArray:
         """Return the command that holds at each sample, shape [N, C]."""
-        rows = np.searchsorted(self.command_time_s, self.time_s, side="right") - 1
-        held: FloatArray = self.command[np.maximum(rows, 0)]
-        return held
+        return self.command[self.held_rows()]
+
+
+def best_columns(first: FloatArray, second: FloatArray) -> tuple[Any, FloatArray]:
+    """Return the column of a table that each column of another one follows, up to its sign, and all correlations."""
+    # A constant has no correlation; the trend avoids a division by zero.
+    trend, count = 1e-9 * np.arange(len(first)), first.shape[1]
+    match = np.corrcoef(np.hstack([first, second]).T + trend)[:count, count:]
+    return linear_sum_assignment(np.abs(match), maximize=True)[1], match
 
 
 def noise_of(time_s: FloatArray, values: FloatArray) -> FloatArray:

@@ -56,7 +56,7 @@ class Setup:
         command: Commands; angles count from the default pose, which is the offset, shape [M, nu].
         is_driven: Whether an actuator has commands, shape [nu].
         scale, offset: See above, shape [nu].
-        delay_s: Time from the command to its effect.
+        delay_s: Time from the command to its effect, shape [1].
         zero: What is added to the angle of each joint of the log, shape [J].
     """
 
@@ -66,7 +66,7 @@ class Setup:
     is_driven: BoolArray
     scale: FloatArray
     offset: FloatArray
-    delay_s: float
+    delay_s: FloatArray
     zero: FloatArray
 
     @property
@@ -154,7 +154,7 @@ def build_setup(model: mujoco.MjModel, log: Log, control: ControlMap) -> Setup:
         is_driven=np.zeros(count, bool),
         scale=np.ones(count),
         offset=np.zeros(count),
-        delay_s=control.delay_s,
+        delay_s=np.array([control.delay_s]),
         zero=np.zeros(len(log.joints)),
     )
     _use_joint_units(setup.model)

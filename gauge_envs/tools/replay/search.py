@@ -10,7 +10,7 @@ from itertools import product
 import numpy as np
 from scipy.stats import wilcoxon
 
-from gauge_envs.tools.replay.causes import Cause, ParameterGroup, groups_of_one
+from gauge_envs.tools.replay.causes import Cause, ParameterGroup, groups_of
 from gauge_envs.tools.replay.fit import (
     NO_NUMBERS,
     THRESHOLDS,
@@ -55,7 +55,7 @@ def try_cause(problem: Problem, cause: Cause, base: Fit) -> list[Fit]:
         row, reach = 0, np.zeros(1)
         return [fit(group, 0.0, change(group, NO_NUMBERS), base.slopes[..., :0])]
     grid = np.sort(cause.starts or (0.0, THRESHOLDS.slope_step))
-    singles = groups_of_one(len(cause.parameters))
+    singles = groups_of(len(cause.parameters))
     moved = np.zeros((len(grid), *screened.shape, len(singles)))
     for row in np.flatnonzero(grid).tolist():
         for column, group in enumerate(singles):
