@@ -325,7 +325,7 @@ def _base_readings(log: Log) -> Iterator[tuple[Any, ...]]:
     # A turn has the noise of two quaternions, whose change is half of the angle.
     noise = (noise_of(log.time_s, log.base_pose).max() + MIN_NOISE) / TURN_S
     for order, shift in (("wxyz", 0), ("xyzw", 1)):
-        if log.quaternion not in (None, order):
+        if log.mapped.quaternion not in (None, order):
             continue
         pose = np.hstack([position, np.roll(quaternion, shift, axis=1)])
         turn = Rotation.from_quat(pose[:, 3:], scalar_first=True)
@@ -373,10 +373,10 @@ def _check_base(log: Log) -> Iterator[str]:
 
 def _turn_upright(log: Log) -> None:
     """Turn the base, or its position alone, so that z is up."""
-    turn = UPRIGHT[log.up]
+    turn = UPRIGHT[log.mapped.up]
     for columns in (log.base_pose[:, :3], log.base_twist[:, :3]):
         columns[:] = turn.apply(columns)
-    if log.up_of == "pose":
+    if log.mapped.up_of == "pose":
         pose = Rotation.from_quat(log.base_pose[:, 3:], scalar_first=True)
         log.base_pose[:, 3:] = (turn * pose * turn.inv()).as_quat(scalar_first=True)
         log.base_twist[:, 3:] = turn.apply(log.base_twist[:, 3:])

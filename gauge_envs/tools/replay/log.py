@@ -32,6 +32,9 @@ SAMPLED = (
 )
 """Attributes of a log with a row a sample."""
 
+ANGLES = ("position", "target", "ctrl")
+"""Quantities that contain the offset of a joint; with the velocities they have the unit of the map."""
+
 MIN_NOISE = 2e-4
 MIN_RATE_NOISE = 2e-3
 """Noise below which a difference has no meaning for a policy; a log of a simulator has none of its own."""
@@ -87,6 +90,15 @@ class LogMap(BaseModel, extra="forbid"):
         """Return the entry of a joint; the default without one."""
         return self.joints.get(name, JointMap())
 
+    def converted(self, name: str, kind: str, values: FloatArray) -> FloatArray:
+        """Return a column of the file in the terms of the model; a force has the sign alone."""
+        entry, is_angle = self.joint(name), kind in ANGLES
+        if not is_angle and kind != "velocity":
+            return entry.sign * values
+        unit = np.deg2rad(1.0) if self.unit == "deg" else 1.0
+        scaled = entry.sign * entry.scale * unit * values
+        return scaled + entry.offset_rad if is_angle else scaled
+
     def check_joints(self, known: Mapping[str, Any]) -> None:
         """Raise an error for a joint of the map that a log lacks."""
         tables = [self.joints, *dict(self.control).values()]
@@ -138,8 +150,7 @@ class Log:
         base_twist: Its linear velocity in the world and angular velocity in the body frame, shape [N, 6].
         observation: What the policy saw, shape [N, K]; no column without.
         action: What the policy returned, shape [N, C]; no column without.
-        quaternion: Order of the numbers of a quaternion in the file, as the map gives it.
-        up, up_of: Axis that is up in the file, and whether that of the pose or of the position alone.
+        mapped: The map by which it was read.
         findings: What is not known of the log.
         mistakes: What is wrong in the log, and what was done about it.
     """
@@ -157,9 +168,7 @@ class Log:
     base_twist: FloatArray
     observation: FloatArray
     action: FloatArray
-    quaternion: str | None
-    up: str
-    up_of: str
+    mapped: LogMap
     position_noise: FloatArray = field(init=False)
     velocity_noise: FloatArray = field(init=False)
     findings: list[str] = field(default_factory=list)
