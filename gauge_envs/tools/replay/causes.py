@@ -12,6 +12,7 @@ from typing import Any, TypeAlias
 import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation
 
 from gauge_envs.tools.replay.log import FloatArray, best_columns
 from gauge_envs.tools.replay.model import IntArray, Replayer, Setup
@@ -38,7 +39,8 @@ FAR = 40.0
 ZERO = "zero"
 ZEROS = (-1.6, -1.0, -0.5, -0.2, 0.2, 0.5, 1.0, 1.6)
 """Zeros of a joint from which the fit starts [rad or m]."""
-GRAVITY = 9.81
+GRAVITY = "gravity or tilt"
+MAX_CHANGE = 9.81
 """Bound of a change of gravity [m/s^2]: it never points up."""
 INSIDE = 2.0
 """Bound of a shift of a centre, over the radius of gyration of its link: it stays inside."""
@@ -237,6 +239,12 @@ def _joints(
     return [zero, *losses, stops]
 
 
+def _tilt(changed: Setup, values: FloatArray) -> None:
+    """Turn gravity, as a tilt of the base does; its strength stays."""
+    turn = Rotation.from_rotvec([*values, 0.0])
+    changed.model.opt.gravity[:] = turn.apply(changed.model.opt.gravity)
+
+
 def _bodies(setup: Setup) -> list[Cause]:
     """Return gravity, mass and centre of each link that moves, and a load on the first one and on each end."""
     model = setup.model
@@ -257,19 +265,25 @@ def _bodies(setup: Setup) -> list[Cause]:
 
     gravity = _cause(
         setup,
-        ("model.opt.gravity", slice(None), 1.0),
-        name="gravity or tilt",
+        ("model.opt.gravity", [2], 1.0),
+        name=GRAVITY,
         unit="m/s^2",
-        parameters=["gravity x", "gravity y", "gravity z"],
+        parameters=["gravity z"],
         typical=1.0,
-        # A tilt of the base turns gravity.
-        groups=[
-            ParameterGroup("one", np.eye(3)[:, 2:]),
-            ParameterGroup("each", np.eye(3)[:, :2]),
-            ParameterGroup("each", np.eye(3)),
-        ],
+        groups=groups_of(1),
         is_positive=False,
-        far=GRAVITY,
+        far=MAX_CHANGE,
+    )
+    tilt = Cause(
+        name=GRAVITY,
+        unit="rad",
+        parameters=["tilt x", "tilt y"],
+        present=np.zeros(2),
+        typical=0.1,
+        apply=_tilt,
+        groups=groups_of(2, "each")[2:],
+        is_positive=False,
+        far=5.0 * np.pi,
     )
     masses = Cause(
         name="mass or centre of a link",
@@ -304,7 +318,7 @@ def _bodies(setup: Setup) -> list[Cause]:
         apply=add_payload,
         groups=groups_of(len(ends)),
     )
-    return [gravity, masses, centres, payload]
+    return [gravity, tilt, masses, centres, payload]
 
 
 def _drives(

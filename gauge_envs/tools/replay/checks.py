@@ -54,12 +54,15 @@ UPRIGHT = {
     )
 }
 """Rotation that turns each axis that may be up to z."""
+MAX_LATE = 0.4
+"""Squared difference of velocities and slopes with velocities of a neighbouring row, over that of their own."""
 RATE_UNITS = {
     "deg/s": np.rad2deg(1.0),
     "turns/s": 0.5 / np.pi,
     "rpm": 30.0 / np.pi,
+    "rad/s, and positions in deg": np.deg2rad(1.0),
 }
-"""Units of velocities, over rad/s."""
+"""Units of velocities, over that of the slopes of the positions."""
 BASE_MISTAKES = (
     "base_quat is x y z w: it is turned to w x y z",
     "base_linvel is in the body frame: it is turned",
@@ -149,23 +152,23 @@ def _check_samples(log: Log) -> Iterator[str]:
             log.keep(~rows)
 
 
-def _largest_step(log: Log) -> FloatArray:
-    """Return the largest change of a position that is no jump, shape [J]."""
+def _largest_bend(log: Log) -> FloatArray:
+    """Return the largest second difference of positions without a jump, shape [J]."""
     bend = np.abs(np.diff(log.position, n=2, axis=0))
     return MIN_JUMP + 12.0 * np.median(bend, axis=0)
 
 
 def _zero_rows(log: Log) -> BoolArray:
-    """Return the rows of zeros after which a joint is elsewhere; an episode may begin with zeros."""
+    """Return the rows of zeros between whose neighbours a joint is elsewhere."""
     is_zero = (log.position == 0.0).all(axis=1)
     others = np.flatnonzero(~is_zero)
     if not is_zero.any() or not len(others):
         return is_zero & False
-    after = np.searchsorted(others, np.arange(len(is_zero))).clip(max=len(others) - 1)
-    jumps: BoolArray = (np.abs(log.position[others[after]]) > _largest_step(log)).any(
-        axis=1
-    )
-    return is_zero & jumps
+    after = np.searchsorted(others, np.arange(len(is_zero)))
+    ends = [others[(after + k).clip(0, len(others) - 1)] for k in (-1, 0)]
+    bend = np.abs(log.position[ends[0]] + log.position[ends[1]])
+    is_lost: BoolArray = (bend > _largest_bend(log)).any(axis=1)
+    return is_zero & is_lost
 
 
 def _spikes(log: Log) -> BoolArray:
@@ -178,8 +181,8 @@ def _spikes(log: Log) -> BoolArray:
         # Velocities of another joint or unit tell nothing.
         steps = [np.median(np.abs(np.diff(x, axis=0)), axis=0) for x in (rest, path)]
         path = np.where(steps[0] < 0.5 * steps[1], rest, path)
-    off = np.abs(path - median_filter(path, (3, 1)))
-    rows: BoolArray = (off > _largest_step(log)).any(axis=1)
+    bend = 2.0 * np.abs(path - median_filter(path, (3, 1)))
+    rows: BoolArray = (bend > _largest_bend(log)).any(axis=1)
     return rows
 
 
@@ -224,8 +227,9 @@ def _check_jitter(log: Log) -> Iterator[str]:
 def _check_velocity(log: Log) -> Iterator[str]:
     """Add noise levels, and velocities where the log has none; compare those that it has with the positions."""
     log.position_noise = np.maximum(noise_of(log.time_s, log.position), MIN_NOISE)
-    slope, half = np.gradient(log.position, log.time_s, axis=0), NOISE_WINDOW // 2
     if log.velocity.shape != log.position.shape:
+        half = NOISE_WINDOW // 2
+        slope = np.gradient(log.position, log.time_s, axis=0)
         log.velocity = np.where(_is_regular(log.time_s), _smooth_slope(log), slope)
         log.velocity_noise = 0.6 * log.position_noise / log.interval_s
         # A polynomial has no slope at its ends.
@@ -235,6 +239,7 @@ def _check_velocity(log: Log) -> Iterator[str]:
         )
         return
     yield from _check_rates(log)
+    slope = np.gradient(log.position, log.time_s, axis=0)
     spread = 1.4826 * np.median(np.abs(log.velocity - slope), axis=0)
     noise = np.hypot(noise_of(log.time_s, log.velocity), 0.2 * spread)
     log.velocity_noise = np.maximum(noise, MIN_RATE_NOISE)
@@ -288,6 +293,21 @@ def _check_rates(log: Log) -> Iterator[str]:
         names = first_names([log.joints[k] for k in columns[flipped]])
         yield f"velocities of {names} have the opposite sign of the slope of the positions: it is turned"
     yield from _rate_unit(log, np.abs(ratio[clear]))
+    yield from _late_rates(log)
+
+
+def _late_rates(log: Log) -> Iterator[str]:
+    """Bring velocities that are a row late or early to the slopes of the positions."""
+    slope = np.gradient(log.position, log.time_s, axis=0)[2:-2]
+    errors = {
+        shift: np.mean((np.roll(log.velocity, -shift, axis=0)[2:-2] - slope) ** 2)
+        for shift in (-1, 0, 1)
+    }
+    shift = min(errors, key=lambda row: errors[row])
+    if errors[shift] < MAX_LATE * errors[0]:
+        log.velocity = np.roll(log.velocity, -shift, axis=0)
+        log.keep(np.arange(1, len(log.time_s) - 1))
+        yield f"velocities are a row {'late' if shift > 0 else 'early'}: they are put back"
 
 
 def _rate_unit(log: Log, ratio: FloatArray) -> Iterator[str]:
@@ -299,6 +319,7 @@ def _rate_unit(log: Log, ratio: FloatArray) -> Iterator[str]:
             log.velocity /= factor
             yield f"velocities are in {unit}, by the slope of the positions: they are converted"
             return
+    log.is_usable = False
     yield (
         f"velocities are {np.median(ratio):.3g} times the slope of the positions: another unit, or the clock runs at "
         "another rate"
@@ -390,6 +411,7 @@ def _check_clocks(log: Log) -> Iterator[str]:
     )
     overlap_s = min(last_s, end_s) - max(first_s, begin_s)
     if overlap_s < 0.5 * (last_s - first_s) and log.command_kind:
+        log.is_usable = False
         yield (
             f"command_t runs from {begin_s:g} to {end_s:g} s, but t from {first_s:g} to {last_s:g} s: "
             "give both by one clock"

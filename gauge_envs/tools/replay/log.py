@@ -153,6 +153,7 @@ class Log:
         mapped: The map by which it was read.
         findings: What is not known of the log.
         mistakes: What is wrong in the log, and what was done about it.
+        is_usable: Whether every mistake is corrected, so that the physics can be compared.
     """
 
     name: str
@@ -173,6 +174,7 @@ class Log:
     velocity_noise: FloatArray = field(init=False)
     findings: list[str] = field(default_factory=list)
     mistakes: list[str] = field(default_factory=list)
+    is_usable: bool = True
 
     @property
     def interval_s(self) -> float:

@@ -284,7 +284,7 @@ def read_log(
         rows = len(next(iter(found["position"].values()), ()))
         found["time"] = {"": mapped.interval_s * np.arange(float(rows))}
     actions = found["action"]
-    kind = mapped.command or next(filter(found.get, COMMANDS), "")
+    kind: str = mapped.command or next((k for k in COMMANDS if found[k]), "")
     # The map may say that actions are commands of another kind.
     commands = found.get(kind) or actions
     has = found | {kind: commands, "": True}
