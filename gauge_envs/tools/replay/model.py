@@ -37,6 +37,9 @@ MAX_GAP = 3.0
 """Interval between two samples, over the median, that a prediction may cross."""
 MAX_NOISE_GROWTH = 9.0
 """Largest variance of the propagated noise, over that of a motion with the recorded velocity."""
+LAW_S = 0.25
+LAW_PIECES = 20
+"""Length and number of the predictions that decide how a law is integrated."""
 DRAWS = 8
 """Draws of the noise of the initial state."""
 MAX_POSITION = 1e6
@@ -495,3 +498,22 @@ class Replayer:
             torques[place] = torque[self.dof]
             is_touching = is_touching or bool(data.ncon)
         return torques, is_touching
+
+
+def fitting_setup(replayer: Replayer, control: ControlMap) -> Setup:
+    """Return the setup that states what the user gave.
+
+    A law outside of the model may be computed in the user's own loop, from the state before each step, or inside of
+    an implicit integrator. The one that predicts better is taken.
+    """
+    setup = build_setup(replayer.model, replayer.log, control)
+    if control.kp is None:
+        return setup
+    explicit = copy.deepcopy(setup)
+    explicit.model.opt.integrator = mujoco.mjtIntegrator.mjINT_EULER.value
+    pieces = replayer.pieces(LAW_S, LAW_PIECES)
+
+    def error(each: Setup) -> float:
+        return float(np.median(np.abs(replayer.predict(each, pieces))))
+
+    return min(setup, explicit, key=error)

@@ -20,7 +20,7 @@ from gauge_envs.tools.replay.log import FloatArray, Log, LogMap
 from gauge_envs.tools.replay.model import (
     UNLIMITED,
     Replayer,
-    build_setup,
+    fitting_setup,
     home_pose,
     joint_names,
     load_model,
@@ -149,9 +149,9 @@ def _explain(
     advance: Callable[[str], None],
 ) -> tuple[Explanation, float]:
     """Return what explains the last log, and the misfit that is left."""
+    replayers = [Replayer(log, model) for log in logs]
     problems = [
-        Problem(Replayer(log, model), build_setup(model, log, mapped.control))
-        for log in logs
+        Problem(each, fitting_setup(each, mapped.control)) for each in replayers
     ]
     problem = problems[-1]
     if len(logs) > 1:

@@ -290,7 +290,9 @@ def explain(
         names = judge.still_equal(together, pairs) if is_claim else []
         names = [name for name in names if name != change.label]
     fitted = change
-    if verdict is not ReplayVerdict.NOTHING:
+    if verdict is ReplayVerdict.NOTHING:
+        names = []
+    else:
         fitted = fit_values(change, [judge.for_values(change)])
     if change is several:
         several = fitted
