@@ -500,15 +500,15 @@ class Replayer:
         return torques, is_touching
 
 
-def fitting_setup(replayer: Replayer, control: ControlMap) -> Setup:
-    """Return the setup that states what the user gave.
+def law_setups(replayer: Replayer, control: ControlMap) -> list[Setup]:
+    """Return the setups that state what the user gave, the one that predicts best first.
 
     A law outside of the model may be computed in the user's own loop, from the state before each step, or inside of
-    an implicit integrator. The one that predicts better is taken.
+    an implicit integrator.
     """
     setup = build_setup(replayer.model, replayer.log, control)
     if control.kp is None:
-        return setup
+        return [setup]
     explicit = copy.deepcopy(setup)
     explicit.model.opt.integrator = mujoco.mjtIntegrator.mjINT_EULER.value
     pieces = replayer.pieces(LAW_S, LAW_PIECES)
@@ -516,4 +516,4 @@ def fitting_setup(replayer: Replayer, control: ControlMap) -> Setup:
     def error(each: Setup) -> float:
         return float(np.median(np.abs(replayer.predict(each, pieces))))
 
-    return min(setup, explicit, key=error)
+    return sorted((setup, explicit), key=error)

@@ -20,9 +20,9 @@ from gauge_envs.tools.replay.log import FloatArray, Log, LogMap
 from gauge_envs.tools.replay.model import (
     UNLIMITED,
     Replayer,
-    fitting_setup,
     home_pose,
     joint_names,
+    law_setups,
     load_model,
     quiet_engine,
     uses_degrees,
@@ -149,19 +149,28 @@ def _explain(
     advance: Callable[[str], None],
 ) -> tuple[Explanation, float]:
     """Return what explains the last log, and the misfit that is left."""
-    replayers = [Replayer(log, model) for log in logs]
-    problems = [
-        Problem(each, fitting_setup(each, mapped.control)) for each in replayers
-    ]
-    problem = problems[-1]
+    floor = 1.0
     if len(logs) > 1:
-        problem.floor = max(1.0, problems[0].before.error)
-    explanation = Explanation(problem, ReplayVerdict.LOG)
-    if all(log.is_usable for log in logs):
-        causes = candidates(problem.replayer, problem.setup)
-        explanation = explain(problem, causes, advance)
+        first = Replayer(logs[0], model)
+        floor = max(
+            1.0, Problem(first, law_setups(first, mapped.control)[0]).before.error
+        )
+    replayer = Replayer(logs[-1], model)
+    found: list[Explanation] = []
+    for setup in law_setups(replayer, mapped.control):
+        problem = Problem(replayer, setup, floor=floor)
+        if not all(log.is_usable for log in logs):
+            found.append(Explanation(problem, ReplayVerdict.LOG))
+            break
+        explanation = explain(problem, candidates(replayer, setup), advance)
+        found.append(explanation)
+        if explanation.verdict in (ReplayVerdict.NOISE, ReplayVerdict.CAUSE):
+            break
+    # The verdicts stand from a full explanation to none.
+    explanation = min(found, key=lambda each: [*ReplayVerdict].index(each.verdict))
+    problem = explanation.problem
     setup = (explanation.change or problem.before).change(problem.setup)
-    misfit = problem.replayer.misfit(setup, problem.pieces)
+    misfit = replayer.misfit(setup, problem.pieces)
     return explanation, float(misfit.sum())
 
 
