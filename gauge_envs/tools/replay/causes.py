@@ -39,9 +39,10 @@ FAR = 40.0
 ZERO = "zero"
 ZEROS = (-1.6, -1.0, -0.5, -0.2, 0.2, 0.5, 1.0, 1.6)
 """Zeros of a joint from which the fit starts [rad or m]."""
-GRAVITY = "gravity or tilt"
-MAX_CHANGE = 9.81
+GRAVITY = 9.81
 """Bound of a change of gravity [m/s^2]: it never points up."""
+TILTS = (0.16, 0.16)
+"""Tilts of the base that matter [rad]; their bound is a right angle."""
 INSIDE = 2.0
 """Bound of a shift of a centre, over the radius of gyration of its link: it stays inside."""
 MIN_SCALE = 1e-6
@@ -239,10 +240,11 @@ def _joints(
     return [zero, *losses, stops]
 
 
-def _tilt(changed: Setup, values: FloatArray) -> None:
-    """Turn gravity, as a tilt of the base does; its strength stays."""
-    turn = Rotation.from_rotvec([*values, 0.0])
-    changed.model.opt.gravity[:] = turn.apply(changed.model.opt.gravity)
+def _set_gravity(changed: Setup, values: FloatArray) -> None:
+    """Give gravity its strength, and turn it as a tilt of the base does."""
+    gravity = changed.model.opt.gravity
+    gravity[2] = values[0]
+    gravity[:] = Rotation.from_rotvec([*values[1:], 0.0]).apply(gravity)
 
 
 def _bodies(setup: Setup) -> list[Cause]:
@@ -263,27 +265,20 @@ def _bodies(setup: Setup) -> list[Cause]:
     def add_payload(changed: Setup, values: FloatArray) -> None:
         changed.model.body_mass[bodies[ends]] += values
 
-    gravity = _cause(
-        setup,
-        ("model.opt.gravity", [2], 1.0),
-        name=GRAVITY,
-        unit="m/s^2",
-        parameters=["gravity z"],
-        typical=1.0,
-        groups=groups_of(1),
+    gravity = Cause(
+        name="gravity or tilt",
+        unit="m/s^2, rad",
+        parameters=["gravity z", "tilt x", "tilt y"],
+        present=np.array([model.opt.gravity[2], 0.0, 0.0]),
+        typical=(1.0, *TILTS),
+        apply=_set_gravity,
+        groups=[
+            ParameterGroup("one", np.eye(3)[:, :1]),
+            ParameterGroup("each", np.eye(3)[:, 1:]),
+            ParameterGroup("each", np.eye(3)),
+        ],
         is_positive=False,
-        far=MAX_CHANGE,
-    )
-    tilt = Cause(
-        name=GRAVITY,
-        unit="rad",
-        parameters=["tilt x", "tilt y"],
-        present=np.zeros(2),
-        typical=0.1,
-        apply=_tilt,
-        groups=groups_of(2, "each")[2:],
-        is_positive=False,
-        far=5.0 * np.pi,
+        far=GRAVITY,
     )
     masses = Cause(
         name="mass or centre of a link",
@@ -318,7 +313,7 @@ def _bodies(setup: Setup) -> list[Cause]:
         apply=add_payload,
         groups=groups_of(len(ends)),
     )
-    return [gravity, tilt, masses, centres, payload]
+    return [gravity, masses, centres, payload]
 
 
 def _drives(
