@@ -33,6 +33,8 @@ UNLIKE = 0.5
 """Difference from which on a term is named without a usual mistake."""
 WHITE = 0.8
 """Noise of a difference, over its standard deviation, from which on it is noise."""
+LOUD = 3.0
+"""Noise of an observation, over that of the state, from which on it is named."""
 WORD = 0.02
 """Difference that one more word must bring."""
 FAR_S = 0.3
@@ -328,9 +330,12 @@ def _differs(
         yield " ".join(filter(None, words))
         return
     rest = seen - variants[0][1]
-    white = noise_of(np.arange(float(len(rest))), rest)
-    loudest = np.argmax(white)
-    if white[loudest] > WHITE * np.std(rest[:, loudest]):
+    rows = np.arange(float(len(rest)))
+    white, own = noise_of(rows, rest), noise_of(rows, variants[0][1])
+    loudest = np.argmax(white - LOUD * own)
+    # The state of the log has noise too.
+    limit = max(WHITE * np.std(rest[:, loudest]), LOUD * own[loudest])
+    if white[loudest] > limit:
         yield f"with noise of {white[loudest]:.2g}"
     elif first > UNLIKE:
         yield f"{100.0 * first:.0f} % off its motion, and no usual mistake explains it"
