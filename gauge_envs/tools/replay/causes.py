@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from operator import attrgetter
+from typing import Any, TypeAlias
 
 import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.optimize import linear_sum_assignment
+from scipy.spatial.transform import Rotation
 
-from gauge_envs.tools.replay.log import FloatArray
+from gauge_envs.tools.replay.log import FloatArray, best_columns
 from gauge_envs.tools.replay.model import IntArray, Replayer, Setup
 
 DELAY_S = 0.02
@@ -39,6 +41,8 @@ ZEROS = (-1.6, -1.0, -0.5, -0.2, 0.2, 0.5, 1.0, 1.6)
 """Zeros of a joint from which the fit starts [rad or m]."""
 GRAVITY = 9.81
 """Bound of a change of gravity [m/s^2]: it never points up."""
+TILTS = (0.16, 0.16)
+"""Tilts of the base that matter [rad]; their bound is a right angle."""
 INSIDE = 2.0
 """Bound of a shift of a centre, over the radius of gyration of its link: it stays inside."""
 MIN_SCALE = 1e-6
@@ -61,26 +65,12 @@ class ParameterGroup:
     selection: FloatArray
 
 
-def groups_of_one(count: int, size: int = 1) -> list[ParameterGroup]:
-    """Return a group of each value, or of `size` neighbours with a number each."""
-    label = "one" if size == 1 else "each"
-    selections = np.split(np.eye(count), count // size, axis=1)
-    return [ParameterGroup(label, selection) for selection in selections]
-
-
-def groups_of_one_and_all(count: int) -> list[ParameterGroup]:
-    """Return a group of each value, and one of all by a common number."""
-    groups = groups_of_one(count)
+def groups_of(count: int, *labels: str) -> list[ParameterGroup]:
+    """Return a group of each value; with `all` one of a common number, with `each` one of a number each."""
+    groups = [ParameterGroup("one", column[:, None]) for column in np.eye(count)]
+    several = {"all": np.ones((count, 1)), "each": np.eye(count)}
     if count > 1:
-        groups.append(ParameterGroup("all", np.ones((count, 1))))
-    return groups
-
-
-def all_groups(count: int) -> list[ParameterGroup]:
-    """Return a group of each value, one of all by a common number, and one of all by a number each."""
-    groups = groups_of_one_and_all(count)
-    if count > 1:
-        groups.append(ParameterGroup("each", np.eye(count)))
+        groups += [ParameterGroup(label, several[label]) for label in labels]
     return groups
 
 
@@ -144,6 +134,23 @@ class Cause:
         return by_number.max(axis=1, initial=-FAR)
 
 
+Entry: TypeAlias = tuple[str, Any, float]
+"""Path of an array of a setup, rows of it, and the sign of the values there."""
+
+
+def _cause(setup: Setup, *entries: Entry, **fields: Any) -> Cause:
+    """Return a cause whose values are entries of arrays of a setup; the first ones are the present values."""
+    path, index, sign = entries[0]
+    present = sign * attrgetter(path)(setup)[index]
+    return Cause(present=present, apply=partial(_set_entries, entries), **fields)
+
+
+def _set_entries(entries: Sequence[Entry], changed: Setup, values: FloatArray) -> None:
+    """Give values to entries of arrays of a setup."""
+    for path, index, sign in entries:
+        attrgetter(path)(changed)[index] = sign * values
+
+
 def change_setup(setup: Setup, changes: Iterable[tuple[Cause, FloatArray]]) -> Setup:
     """Return a copy of a setup with the values of causes."""
     after = copy.deepcopy(setup)
@@ -161,77 +168,83 @@ def candidates(replayer: Replayer, setup: Setup) -> list[Cause]:
     # Torques and speeds of the joints that the log often has.
     load = np.maximum(np.percentile(np.abs(torques), 95, axis=0), 1e-4)
     speed = np.maximum(np.percentile(np.abs(log.velocity), 95, axis=0), 1e-3)
+    drives = np.append(setup.is_driven, False)[replayer.actuator]
     causes = [
-        _zero(replayer, setup),
-        *_losses(replayer, setup, load, speed),
+        *_joints(replayer, setup, load, speed),
         *_bodies(setup),
-        _stops(replayer, setup),
         *_timing(setup),
     ]
-    driven = np.flatnonzero(np.append(setup.is_driven, False)[replayer.actuator])
-    if len(driven):
-        causes += _commands(replayer, setup, driven, load[driven])
-        if setup.model.actuator_biasprm[replayer.actuator[driven], 1].any():
-            causes += _gains(replayer, setup, driven, 0.3 * load[driven] / speed.max())
-    if is_touching:
-        causes += _contacts(setup)
-    return causes
+    if drives.any():
+        causes += _drives(replayer, setup, np.flatnonzero(drives), load, speed.max())
+    return causes + _contacts() * is_touching
 
 
-def _zero(replayer: Replayer, setup: Setup) -> Cause:
-    """Return the zero of the joints of the log, in positions and commands."""
-    names, ids = replayer.log.joints, replayer.actuator
+def _joints(
+    replayer: Replayer, setup: Setup, load: FloatArray, speed: FloatArray
+) -> list[Cause]:
+    """Return armature, dry friction, damping and limits of the joints, and their zero in positions and commands."""
+    names, dofs, ids = replayer.log.joints, replayer.dof, replayer.actuator
+    count = len(names)
     driven = np.flatnonzero(np.append(setup.is_driven, False)[ids])
     driven = driven[setup.model.actuator_biasprm[ids[driven], 1] != 0.0]
+    limits = np.tile(replayer.joint, 2), np.repeat((0, 1), count)
 
     def set_zero(changed: Setup, values: FloatArray) -> None:
         changed.zero[:] = values
         changed.offset[ids[driven]] += values[driven]
 
-    return Cause(
+    zero = Cause(
         name=ZERO,
         unit="rad",
         parameters=names,
         present=setup.zero,
         typical=1.0,
         apply=set_zero,
-        groups=groups_of_one(len(names)),
+        groups=groups_of(count),
         is_positive=False,
         starts=ZEROS,
         origin=0.0,
         far=np.pi,
     )
-
-
-def _losses(
-    replayer: Replayer, setup: Setup, load: FloatArray, speed: FloatArray
-) -> list[Cause]:
-    """Return armature, dry friction and damping of the joints."""
-    joints, dofs, model = replayer.log.joints, replayer.dof, setup.model
-    groups = all_groups(len(joints))
-
     rows = (
-        ("armature", "kg m^2", "dof_armature", 0.3 * model.dof_M0[dofs]),
+        ("armature", "kg m^2", "dof_armature", 0.3 * setup.model.dof_M0[dofs]),
         ("dry friction", "N m", "dof_frictionloss", 0.1 * load),
         ("damping", "N m s/rad", "dof_damping", 0.3 * load / speed),
     )
-    return [
-        Cause(
+    losses = [
+        _cause(
+            setup,
+            (f"model.{field}", dofs, 1.0),
             name=name,
             unit=unit,
-            parameters=joints,
-            present=getattr(model, field)[dofs],
+            parameters=names,
             typical=typical,
-            apply=partial(_set_field, field, dofs),
-            groups=groups,
+            groups=groups_of(count, "all", "each"),
         )
         for name, unit, field, typical in rows
     ]
+    stops = _cause(
+        setup,
+        ("model.jnt_range", limits, 1.0),
+        name="joint limit",
+        unit="rad",
+        parameters=[
+            f"{joint} {side}" for side in ("lower", "upper") for joint in names
+        ],
+        typical=STOP,
+        groups=groups_of(2 * count),
+        is_positive=False,
+        starts=STOPS,
+        origin=np.percentile(replayer.log.position, (2.0, 98.0), axis=0).ravel(),
+    )
+    return [zero, *losses, stops]
 
 
-def _set_field(field: str, rows: IntArray, changed: Setup, values: FloatArray) -> None:
-    """Give values to a field of the model."""
-    getattr(changed.model, field)[rows] = values
+def _set_gravity(changed: Setup, values: FloatArray) -> None:
+    """Give gravity its strength, and turn it as a tilt of the base does."""
+    gravity = changed.model.opt.gravity
+    gravity[2] = values[0]
+    gravity[:] = Rotation.from_rotvec([*values[1:], 0.0]).apply(gravity)
 
 
 def _bodies(setup: Setup) -> list[Cause]:
@@ -242,200 +255,126 @@ def _bodies(setup: Setup) -> list[Cause]:
     count = len(names)
     mass, inertia = model.body_mass[bodies], model.body_inertia[bodies]
     size = np.maximum(np.sqrt(inertia.sum(axis=1) / mass), 0.01)
-    axes = np.repeat(bodies, 3), np.tile(range(3), count)
     ends = np.union1d(0, np.flatnonzero(~np.isin(bodies, model.body_parentid[bodies])))
-    # A tilt of the base turns gravity.
-    tilts = [
-        ParameterGroup("one", np.eye(3)[:, 2:]),
-        ParameterGroup("each", np.eye(3)[:, :2]),
-        ParameterGroup("each", np.eye(3)),
-    ]
-
-    def set_gravity(changed: Setup, values: FloatArray) -> None:
-        changed.model.opt.gravity[:] = values
 
     def set_mass(changed: Setup, values: FloatArray) -> None:
         # Another cause may have added a payload.
         changed.model.body_mass[bodies] += values - mass
         changed.model.body_inertia[bodies] = inertia * (values / mass)[:, None]
 
-    def set_center(changed: Setup, values: FloatArray) -> None:
-        changed.model.body_ipos[axes] = values
-
     def add_payload(changed: Setup, values: FloatArray) -> None:
         changed.model.body_mass[bodies[ends]] += values
 
-    return [
-        Cause(
-            name="gravity or tilt",
-            unit="m/s^2",
-            parameters=["gravity x", "gravity y", "gravity z"],
-            present=model.opt.gravity.copy(),
-            typical=1.0,
-            apply=set_gravity,
-            groups=tilts,
-            is_positive=False,
-            far=GRAVITY,
-        ),
-        Cause(
-            name="mass or centre of a link",
-            unit="kg",
-            parameters=names,
-            present=mass,
-            typical=MIN_SCALE,
-            apply=set_mass,
-            groups=groups_of_one_and_all(count),
-        ),
-        Cause(
-            name="mass or centre of a link",
-            unit="m",
-            parameters=[f"{name} {axis}" for name in names for axis in "xyz"],
-            present=model.body_ipos[axes],
-            typical=np.repeat(size, 3),
-            apply=set_center,
-            groups=groups_of_one(3 * count, 3),
-            is_positive=False,
-            far=INSIDE,
-        ),
-        Cause(
-            name="payload",
-            unit="kg",
-            parameters=[names[end] for end in ends],
-            present=np.zeros(len(ends)),
-            # A payload may be heavier than the link that carries it.
-            typical=0.02 * model.body_mass.sum(),
-            apply=add_payload,
-            groups=groups_of_one(len(ends)),
-        ),
-    ]
-
-
-def _stops(replayer: Replayer, setup: Setup) -> Cause:
-    """Return the limits of the joints."""
-    joints = replayer.log.joints
-    places = np.tile(replayer.joint, 2), np.repeat((0, 1), len(joints))
-
-    def set_range(changed: Setup, values: FloatArray) -> None:
-        changed.model.jnt_range[places] = values
-
-    return Cause(
-        name="joint limit",
-        unit="rad",
-        parameters=[
-            f"{joint} {side}" for side in ("lower", "upper") for joint in joints
+    gravity = Cause(
+        name="gravity or tilt",
+        unit="m/s^2, rad",
+        parameters=["gravity z", "tilt x", "tilt y"],
+        present=np.array([model.opt.gravity[2], 0.0, 0.0]),
+        typical=(1.0, *TILTS),
+        apply=_set_gravity,
+        groups=[
+            ParameterGroup("one", np.eye(3)[:, :1]),
+            ParameterGroup("each", np.eye(3)[:, 1:]),
+            ParameterGroup("each", np.eye(3)),
         ],
-        present=setup.model.jnt_range[places],
-        typical=STOP,
-        apply=set_range,
-        groups=groups_of_one(2 * len(joints)),
         is_positive=False,
-        starts=STOPS,
-        origin=np.percentile(replayer.log.position, (2.0, 98.0), axis=0).ravel(),
+        far=GRAVITY,
     )
+    masses = Cause(
+        name="mass or centre of a link",
+        unit="kg",
+        parameters=names,
+        present=mass,
+        typical=MIN_SCALE,
+        apply=set_mass,
+        groups=groups_of(count, "all"),
+    )
+    centres = _cause(
+        setup,
+        ("model.body_ipos", (np.repeat(bodies, 3), np.tile(range(3), count)), 1.0),
+        name="mass or centre of a link",
+        unit="m",
+        parameters=[f"{name} {axis}" for name in names for axis in "xyz"],
+        typical=np.repeat(size, 3),
+        groups=[
+            ParameterGroup("each", columns)
+            for columns in np.split(np.eye(3 * count), count, axis=1)
+        ],
+        is_positive=False,
+        far=INSIDE,
+    )
+    payload = Cause(
+        name="payload",
+        unit="kg",
+        parameters=[names[end] for end in ends],
+        present=np.zeros(len(ends)),
+        # A payload may be heavier than the link that carries it.
+        typical=0.02 * model.body_mass.sum(),
+        apply=add_payload,
+        groups=groups_of(len(ends)),
+    )
+    return [gravity, masses, centres, payload]
 
 
-def _commands(
-    replayer: Replayer, setup: Setup, driven: IntArray, load: FloatArray
+def _drives(
+    replayer: Replayer, setup: Setup, driven: IntArray, load: FloatArray, speed: float
 ) -> list[Cause]:
-    """Return effort limit of driven joints, and scale, offset, delay and order of their commands."""
-    model, ids = setup.model, replayer.actuator[driven]
-    names = [replayer.log.joints[joint] for joint in driven]
-    groups = all_groups(len(names))
-    is_servo = model.actuator_biasprm[ids, 1].any()
-
-    def set_limit(changed: Setup, values: FloatArray) -> None:
-        changed.model.actuator_forcerange[ids] = np.column_stack([-values, values])
-
-    def set_scale(changed: Setup, values: FloatArray) -> None:
-        changed.scale[ids] = values
-
-    def set_offset(changed: Setup, values: FloatArray) -> None:
-        changed.offset[ids] = values
-
-    def set_delay(changed: Setup, values: FloatArray) -> None:
-        changed.delay_s = float(values[0])
-
-    return [
-        Cause(
-            name="effort limit",
-            unit="N m",
-            parameters=names,
-            present=model.actuator_forcerange[ids, 1],
-            typical=load,
-            apply=set_limit,
-            groups=groups,
-            starts=EFFORTS,
-            origin=0.0,
+    """Return gains and effort limit of driven joints, and scale, offset, delay and order of their commands."""
+    ids, bias = replayer.actuator[driven], "model.actuator_biasprm"
+    load, is_servo = load[driven], setup.model.actuator_biasprm[ids, 1].any()
+    limits: dict[str, Any] = {"starts": EFFORTS, "origin": 0.0}
+    rows: list[tuple[str, str, Any, Sequence[Entry], dict[str, Any]]] = [
+        (
+            "effort limit",
+            "N m",
+            load,
+            [
+                ("model.actuator_forcerange", (ids, 1), 1.0),
+                ("model.actuator_forcerange", (ids, 0), -1.0),
+            ],
+            limits,
         ),
-        Cause(
-            name="action scale",
-            parameters=names,
-            present=setup.scale[ids],
-            typical=MIN_SCALE,
-            apply=set_scale,
-            groups=groups,
-        ),
-        Cause(
-            name="action offset",
-            unit="rad" if is_servo else "N m",
-            parameters=names,
-            present=setup.offset[ids],
-            typical=0.05 if is_servo else 0.1 * load,
-            apply=set_offset,
-            groups=groups,
-            is_positive=False,
-        ),
-        Cause(
-            name="delay",
-            unit="s",
-            parameters=["delay"],
-            present=np.array([setup.delay_s]),
-            typical=DELAY_S,
-            apply=set_delay,
-            groups=groups_of_one(1),
-            is_positive=False,
-            starts=DELAYS,
-            origin=0.0,
-        ),
-        *_order(replayer, setup, driven),
-    ]
-
-
-def _gains(
-    replayer: Replayer, setup: Setup, driven: IntArray, rate: FloatArray
-) -> list[Cause]:
-    """Return the gains of driven joints."""
-    model, ids = setup.model, replayer.actuator[driven]
-    names = [replayer.log.joints[joint] for joint in driven]
-    groups = all_groups(len(names))
-
-    def set_stiffness(changed: Setup, values: FloatArray) -> None:
-        changed.model.actuator_gainprm[ids, 0] = values
-        changed.model.actuator_biasprm[ids, 1] = -values
-
-    def set_damping(changed: Setup, values: FloatArray) -> None:
-        changed.model.actuator_biasprm[ids, 2] = -values
-
-    return [
-        Cause(
-            name="kp",
-            unit="N m/rad",
-            parameters=names,
-            present=-model.actuator_biasprm[ids, 1],
-            typical=MIN_SCALE,
-            apply=set_stiffness,
-            groups=groups,
-        ),
-        Cause(
-            name="kd",
-            unit="N m s/rad",
-            parameters=names,
-            present=-model.actuator_biasprm[ids, 2],
-            typical=rate,
-            apply=set_damping,
-            groups=groups,
+        ("action scale", "", MIN_SCALE, [("scale", ids, 1.0)], {}),
+        (
+            "action offset",
+            "rad" if is_servo else "N m",
+            0.05 if is_servo else 0.1 * load,
+            [("offset", ids, 1.0)],
+            {"is_positive": False},
         ),
     ]
+    if is_servo:
+        stiffness = [(bias, (ids, 1), -1.0), ("model.actuator_gainprm", (ids, 0), 1.0)]
+        rows += [
+            ("kp", "N m/rad", MIN_SCALE, stiffness, {}),
+            ("kd", "N m s/rad", 0.3 * load / speed, [(bias, (ids, 2), -1.0)], {}),
+        ]
+    causes = [
+        _cause(
+            setup,
+            *entries,
+            name=name,
+            unit=unit,
+            parameters=[replayer.log.joints[joint] for joint in driven],
+            typical=typical,
+            groups=groups_of(len(ids), "all", "each"),
+            **more,
+        )
+        for name, unit, typical, entries, more in rows
+    ]
+    delay = _cause(
+        setup,
+        ("delay_s", slice(None), 1.0),
+        name="delay",
+        unit="s",
+        parameters=["delay"],
+        typical=DELAY_S,
+        groups=groups_of(1),
+        is_positive=False,
+        starts=DELAYS,
+        origin=0.0,
+    )
+    return [*causes, delay, *_order(replayer, setup, driven)]
 
 
 def _option(name: str, label: str, apply: Callable[[Setup], None]) -> Cause:
@@ -453,20 +392,17 @@ def _option(name: str, label: str, apply: Callable[[Setup], None]) -> Cause:
 def _order(replayer: Replayer, setup: Setup, driven: IntArray) -> list[Cause]:
     """Return the order and signs of the commands that correlate best with the motion, if they are new."""
     log, ids = replayer.log, replayer.actuator[driven]
-    rows = np.searchsorted(setup.command_time_s, log.time_s, "right") - 1
-    motion = log.position.T
+    motion = log.position
     if log.command_kind == "tau":
-        motion = np.gradient(log.velocity.T, log.time_s, axis=1)
-    series = np.vstack([motion[driven], setup.command.T[np.ix_(ids, rows)]])
-    # A constant has no correlation; the trend avoids a division by zero.
-    match = np.corrcoef(series + 1e-9 * np.arange(len(rows)))[: len(ids), len(ids) :]
-    order = linear_sum_assignment(np.abs(match), maximize=True)[1]
+        motion = np.gradient(log.velocity, log.time_s, axis=0)
+    commands = setup.command[log.held_rows()][:, ids]
+    order, match = best_columns(motion[:, driven], commands)
     signs = np.sign(match[range(len(ids)), order])
-    texts = []
-    for joint, other, sign in zip(driven, driven[order], signs, strict=True):
-        if other != joint or sign < 0.0:
-            minus = "minus " if sign < 0.0 else ""
-            texts.append(f"{log.joints[joint]} follows {minus}{log.joints[other]}")
+    texts = [
+        f"{log.joints[joint]} follows {'minus ' * bool(sign < 0.0)}{log.joints[other]}"
+        for joint, other, sign in zip(driven, driven[order], signs, strict=True)
+        if other != joint or sign < 0.0
+    ]
     if not texts:
         return []
     label, others = ", ".join(texts), ids[order]
@@ -508,44 +444,38 @@ def _step(step_s: float) -> Cause:
 
 def _held(setup: Setup, n: int, k: int) -> Cause:
     """Return a controller that takes only each n-th change of the command, from change k on."""
-    is_new = np.diff(setup.command, axis=0).any(axis=1)
-    changes = np.flatnonzero(is_new) + 1
+    changes = 1 + np.flatnonzero(np.diff(setup.command, axis=0).any(axis=1))
     # The first command holds until the first one that the controller takes.
     taken = np.append(0, changes[k::n])
     latest = np.searchsorted(taken, np.arange(len(setup.command)), "right") - 1
-    held = setup.command[taken[latest]]
 
     def set_command(changed: Setup) -> None:
-        changed.command[:] = held
+        changed.command[:] = setup.command[taken[latest]]
 
     label = f"only each {n}. command is used, from number {k + 1} on"
     return _option("step and decimation", label, set_command)
 
 
-def _contacts(setup: Setup) -> list[Cause]:
+def _contacts() -> list[Cause]:
     """Return friction and softness of all contacts, as factors."""
-
-    def scale_friction(changed: Setup, factor: FloatArray) -> None:
-        changed.model.geom_friction[:, :1] *= factor
-        changed.model.pair_friction[:, :2] *= factor
-
-    def scale_time_constant(changed: Setup, factor: FloatArray) -> None:
-        changed.model.geom_solref[:, :1] *= factor
-        changed.model.pair_solref[:, :1] *= factor
-
-    changes = {
-        "floor friction": scale_friction,
-        "contact softness": scale_time_constant,
+    columns = {
+        "floor friction": {"geom_friction": 1, "pair_friction": 2},
+        "contact softness": {"geom_solref": 1, "pair_solref": 1},
     }
+
+    def scale(counts: Mapping[str, int], changed: Setup, factor: FloatArray) -> None:
+        for field, count in counts.items():
+            getattr(changed.model, field)[:, :count] *= factor
+
     return [
         Cause(
             name=name,
             parameters=["factor"],
             present=np.ones(1),
             typical=1.0,
-            apply=apply,
-            groups=groups_of_one(1),
+            apply=partial(scale, counts),
+            groups=groups_of(1),
             starts=CONTACTS,
         )
-        for name, apply in changes.items()
+        for name, counts in columns.items()
     ]

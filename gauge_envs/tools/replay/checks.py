@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import compress, product
 from typing import Any
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
-from scipy.integrate import cumulative_simpson
-from scipy.ndimage import uniform_filter1d
-from scipy.optimize import linear_sum_assignment
+from scipy.integrate import cumulative_simpson, cumulative_trapezoid
+from scipy.ndimage import median_filter, uniform_filter1d
 from scipy.signal import savgol_filter
 from scipy.spatial.transform import Rotation
 
@@ -23,6 +23,7 @@ from gauge_envs.tools.replay.log import (
     BoolArray,
     FloatArray,
     Log,
+    best_columns,
     noise_of,
 )
 
@@ -53,6 +54,22 @@ UPRIGHT = {
     )
 }
 """Rotation that turns each axis that may be up to z."""
+MAX_LATE = 0.4
+"""Squared difference of velocities and slopes with velocities of a neighbouring row, over that of their own."""
+RATE_UNITS = {
+    "deg/s": np.rad2deg(1.0),
+    "turns/s": 0.5 / np.pi,
+    "rpm": 30.0 / np.pi,
+    "rad/s, and positions in deg": np.deg2rad(1.0),
+}
+"""Units of velocities, over that of the slopes of the positions."""
+BASE_MISTAKES = (
+    "base_quat is x y z w: it is turned to w x y z",
+    "base_linvel is in the body frame: it is turned",
+    "base_angvel is in the world frame: it is turned",
+)
+NEIGHBOURS = 9
+"""Ordinary steps around a repeated row with which the step after it is compared."""
 MIN_REGULAR = 0.7
 """Fraction of equal runs of samples from which on the encoder is slower than the log."""
 
@@ -121,46 +138,65 @@ def _check_samples(log: Log) -> Iterator[str]:
     elif (lost := _held_rows(log, is_fresh)).any():
         log.keep(~lost)
         yield f"rows that repeat the position before while the robot moves are left out: {lost.sum()}"
-    bend = np.diff(log.position, n=2, axis=0)
-    is_jump = np.abs(bend) > MIN_JUMP + 12.0 * np.median(np.abs(bend), axis=0)
-    # An episode may begin with zeros.
-    is_gap = np.diff(log.time_s) > 3.0 * log.interval_s
-    is_jump[is_gap[1:] | is_gap[:-1]] = False
-    is_lost = (log.position[1:-1] == 0.0).all(axis=1) & is_jump.any(axis=1)
-    is_spike = (is_jump & _is_out_and_back(log)).any(axis=1) & ~is_lost
-    for rows, words in ((is_lost, "lost samples, written as 0,"), (is_spike, "spikes")):
+    for find, words in (
+        (_zero_rows, "lost samples, written as 0,"),
+        (_spikes, "spikes"),
+    ):
+        is_gap = (
+            np.diff(log.time_s, prepend=-np.inf, append=np.inf) > 3.0 * log.interval_s
+        )
+        rows = find(log) & ~is_gap[1:] & ~is_gap[:-1]
         if rows.any():
-            first_s = log.time_s[1 + np.argmax(rows)]
+            first_s = log.time_s[np.argmax(rows)]
             yield f"{rows.sum()} {words} are left out, the first at {first_s:.3g} s"
-    log.keep(np.concatenate([[True], ~(is_lost | is_spike), [True]]))
+            log.keep(~rows)
 
 
-def _is_out_and_back(log: Log) -> BoolArray:
-    """Return whether a sample leaves its neighbours and what the velocities say, shape [N - 2, J]."""
-    step = np.diff(log.position, axis=0)
-    if log.velocity.shape == log.position.shape:
-        mean = 0.5 * (log.velocity[1:] + log.velocity[:-1])
-        rest = step - mean * np.diff(log.time_s)[:, None]
+def _largest_bend(log: Log) -> FloatArray:
+    """Return the largest second difference of positions without a jump, shape [J]."""
+    bend = np.abs(np.diff(log.position, n=2, axis=0))
+    return MIN_JUMP + 12.0 * np.median(bend, axis=0)
+
+
+def _zero_rows(log: Log) -> BoolArray:
+    """Return the rows of zeros between whose neighbours a joint is elsewhere."""
+    is_zero = (log.position == 0.0).all(axis=1)
+    others = np.flatnonzero(~is_zero)
+    if not is_zero.any() or not len(others):
+        return is_zero & False
+    after = np.searchsorted(others, np.arange(len(is_zero)))
+    ends = [others[(after + k).clip(0, len(others) - 1)] for k in (-1, 0)]
+    bend = np.abs(log.position[ends[0]] + log.position[ends[1]])
+    is_lost: BoolArray = (bend > _largest_bend(log)).any(axis=1)
+    return is_zero & is_lost
+
+
+def _spikes(log: Log) -> BoolArray:
+    """Return the rows that leave both neighbours in a direction, and what the velocities say."""
+    path = log.position
+    if log.velocity.shape == path.shape:
+        rest = path - cumulative_trapezoid(
+            log.velocity, log.time_s, axis=0, initial=0.0
+        )
         # Velocities of another joint or unit tell nothing.
-        fits = np.median(np.abs(rest), axis=0) < 0.5 * np.median(np.abs(step), axis=0)
-        step = np.where(fits, rest, np.nan)
-    out, back = step[:-1], -step[1:]
-    bend, size = np.diff(log.position, n=2, axis=0), np.abs(out + back)
-    is_even = (out * back > 0.0) & (np.abs(out - back) < 0.5 * size)
-    return is_even & (size > 0.7 * np.abs(bend))
+        steps = [np.median(np.abs(np.diff(x, axis=0)), axis=0) for x in (rest, path)]
+        path = np.where(steps[0] < 0.5 * steps[1], rest, path)
+    bend = 2.0 * np.abs(path - median_filter(path, (3, 1)))
+    rows: BoolArray = (bend > _largest_bend(log)).any(axis=1)
+    return rows
 
 
 def _held_rows(log: Log, is_fresh: BoolArray) -> BoolArray:
     """Return the rows that repeat the position before, if the robot has moved by more than a step after them."""
     step = np.abs(np.diff(log.position, axis=0)).sum(axis=1)
-    after_held = np.flatnonzero(~is_fresh[:-1] & is_fresh[1:])
-    after_fresh = np.flatnonzero(is_fresh[:-1] & is_fresh[1:])
-    if not len(after_held) or not len(after_fresh):
+    held, fresh = (
+        np.flatnonzero(before & is_fresh[1:])
+        for before in (~is_fresh[:-1], is_fresh[:-1])
+    )
+    if not len(held) or not len(fresh):
         return ~is_fresh & False
-    near = [np.abs(after_fresh - row).argsort()[:8] for row in after_held]
-    ordinary = np.array([np.median(step[after_fresh[rows]]) for rows in near])
-    is_lost = np.mean(step[after_held]) > LOST_STEP * np.mean(ordinary)
-    return ~is_fresh & is_lost
+    ordinary = np.interp(held, fresh, median_filter(step[fresh], NEIGHBOURS))
+    return ~is_fresh & bool(np.mean(step[held]) > LOST_STEP * np.mean(ordinary))
 
 
 def _check_wraps(log: Log) -> Iterator[str]:
@@ -191,8 +227,9 @@ def _check_jitter(log: Log) -> Iterator[str]:
 def _check_velocity(log: Log) -> Iterator[str]:
     """Add noise levels, and velocities where the log has none; compare those that it has with the positions."""
     log.position_noise = np.maximum(noise_of(log.time_s, log.position), MIN_NOISE)
-    slope, half = np.gradient(log.position, log.time_s, axis=0), NOISE_WINDOW // 2
     if log.velocity.shape != log.position.shape:
+        half = NOISE_WINDOW // 2
+        slope = np.gradient(log.position, log.time_s, axis=0)
         log.velocity = np.where(_is_regular(log.time_s), _smooth_slope(log), slope)
         log.velocity_noise = 0.6 * log.position_noise / log.interval_s
         # A polynomial has no slope at its ends.
@@ -202,6 +239,7 @@ def _check_velocity(log: Log) -> Iterator[str]:
         )
         return
     yield from _check_rates(log)
+    slope = np.gradient(log.position, log.time_s, axis=0)
     spread = 1.4826 * np.median(np.abs(log.velocity - slope), axis=0)
     noise = np.hypot(noise_of(log.time_s, log.velocity), 0.2 * spread)
     log.velocity_noise = np.maximum(noise, MIN_RATE_NOISE)
@@ -231,54 +269,69 @@ def _check_rates(log: Log) -> Iterator[str]:
     path = cumulative_simpson(log.velocity, x=log.time_s, axis=0, initial=0.0)
     length = min(1 + round(TURN_S / log.interval_s), len(path) // 2)
     moved, turned = (each[length:] - each[:-length] for each in (log.position, path))
-    count = len(log.joints)
-    # Noise moves a joint that rests; the trend avoids a division by zero.
+    columns = np.arange(len(log.joints))
+    # Noise moves a joint that rests.
     moves = np.std(moved, axis=0) > 8.0 * log.position_noise
-    trend = 1e-9 * np.arange(len(moved))
-    match = np.corrcoef(moved.T + trend, turned.T + trend)[:count, count:]
-    order = linear_sum_assignment(np.abs(match), maximize=True)[1]
-    best = np.abs(match[range(count), order])
+    order, match = best_columns(moved, turned)
+    best = np.abs(match[columns, order])
     exchanged = moves & (best > 0.9) & (np.abs(np.diag(match)) < best - 0.2)
     if exchanged.sum() > 1:
-        order = np.where(exchanged, order, range(count))
-        log.velocity, turned = log.velocity[:, order], turned[:, order]
-        match = match[:, order]
-        pairs = [
+        order = np.where(exchanged, order, columns)
+        pairs = ", ".join(
             f"{log.joints[k]} has that of {log.joints[order[k]]}"
-            for k in np.flatnonzero(exchanged)
-        ]
-        yield f"velocities are exchanged ({', '.join(pairs)}): they are put back"
+            for k in columns[exchanged]
+        )
+        log.velocity, turned, match = (
+            each[:, order] for each in (log.velocity, turned, match)
+        )
+        yield f"velocities are exchanged ({pairs}): they are put back"
     clear = moves & (np.abs(np.diag(match)) > 0.9)
     ratio = np.sum(moved * turned, axis=0) / np.maximum(np.sum(moved**2, axis=0), 1e-12)
     flipped = clear & (ratio < 0.0)
     if flipped.any():
         log.velocity[:, flipped] *= -1.0
-        names = first_names([log.joints[k] for k in np.flatnonzero(flipped)])
+        names = first_names([log.joints[k] for k in columns[flipped]])
         yield f"velocities of {names} have the opposite sign of the slope of the positions: it is turned"
-    ratio = np.abs(ratio[clear])
-    if not len(ratio) or np.exp(np.abs(np.log(np.median(ratio)))) < MAX_RATE_RATIO:
+    yield from _rate_unit(log, np.abs(ratio[clear]))
+    yield from _late_rates(log)
+
+
+def _late_rates(log: Log) -> Iterator[str]:
+    """Bring velocities that are a row late or early to the slopes of the positions."""
+    slope = np.gradient(log.position, log.time_s, axis=0)[2:-2]
+    errors = {
+        shift: np.mean((np.roll(log.velocity, -shift, axis=0)[2:-2] - slope) ** 2)
+        for shift in (-1, 0, 1)
+    }
+    shift = min(errors, key=lambda row: errors[row])
+    if errors[shift] < MAX_LATE * errors[0]:
+        log.velocity = np.roll(log.velocity, -shift, axis=0)
+        log.keep(np.arange(1, len(log.time_s) - 1))
+        yield f"velocities are a row {'late' if shift > 0 else 'early'}: they are put back"
+
+
+def _rate_unit(log: Log, ratio: FloatArray) -> Iterator[str]:
+    """Bring velocities to the unit of the slopes, given their ratio."""
+    if not len(ratio) or abs(np.log(np.median(ratio))) < np.log(MAX_RATE_RATIO):
         return
-    for unit, factor in (
-        ("deg/s", np.rad2deg(1.0)),
-        ("turns/s", 0.5 / np.pi),
-        ("rpm", 30.0 / np.pi),
-    ):
+    for unit, factor in RATE_UNITS.items():
         if np.allclose(ratio, factor, rtol=0.15):
             log.velocity /= factor
             yield f"velocities are in {unit}, by the slope of the positions: they are converted"
             return
+    log.is_usable = False
     yield (
         f"velocities are {np.median(ratio):.3g} times the slope of the positions: another unit, or the clock runs at "
         "another rate"
     )
 
 
-def _base_options(log: Log) -> Iterator[tuple[Any, ...]]:
-    """Yield each order of quaternions and frame of angular velocities with its base.
+def _base_readings(log: Log) -> Iterator[tuple[Any, ...]]:
+    """Yield each order of quaternions, frame of angular and of linear velocities with its base.
 
     Yields:
-        Misfit of the linear and the angular velocities to the pose, over the limit; order; frame; pose and twist in the
-        terms of a log; velocities that the pose shows.
+        Misfit of the linear and the angular velocities to the pose, over the limit; order; what is wrong; pose and
+        twist in the terms of a log; velocities that the pose shows.
     """
     position, quaternion = np.split(log.base_pose, [3], axis=1)
     # Without velocities, zeros are compared with the pose.
@@ -293,7 +346,7 @@ def _base_options(log: Log) -> Iterator[tuple[Any, ...]]:
     # A turn has the noise of two quaternions, whose change is half of the angle.
     noise = (noise_of(log.time_s, log.base_pose).max() + MIN_NOISE) / TURN_S
     for order, shift in (("wxyz", 0), ("xyzw", 1)):
-        if log.quaternion not in (None, order):
+        if log.mapped.quaternion not in (None, order):
             continue
         pose = np.hstack([position, np.roll(quaternion, shift, axis=1)])
         turn = Rotation.from_quat(pose[:, 3:], scalar_first=True)
@@ -301,35 +354,30 @@ def _base_options(log: Log) -> Iterator[tuple[Any, ...]]:
         rate = np.vstack([steps, steps[-1:]]) / np.gradient(log.time_s)[:, None]
         slope = np.hstack([np.gradient(position, log.time_s, axis=0), rate])
         limit = MAX_MISFIT * power(slope) + 8.0 * noise**2
-        for frame, rate in (("body", angular), ("world", turn.inv().apply(angular))):
-            for moved in (linear, turn.apply(linear)):
-                twist = np.hstack([moved, rate])
-                yield power(twist - slope) / limit, order, frame, pose, twist, slope
+        for in_world, in_body in product((False, True), repeat=2):
+            found = compress(BASE_MISTAKES, (shift, in_body, in_world))
+            turned = turn.inv().apply(angular) if in_world else angular
+            moved = turn.apply(linear) if in_body else linear
+            twist = np.hstack([moved, turned])
+            yield power(twist - slope) / limit, order, found, pose, twist, slope
 
 
 def _check_base(log: Log) -> Iterator[str]:
     """Bring the base to quaternions w x y z and angular velocities in its own frame.
 
-    Each order of quaternions is tried with each frame of angular velocities. Velocities that the pose contradicts are
+    Each order of quaternions is tried with each frame of velocities. Velocities that the pose contradicts are
     replaced by its differences.
     """
     if log.base_pose.shape[1] != 7:
         return
     is_given = log.base_twist.shape[1] == 6
-    options = [*_base_options(log)]
-    best = min(option[0][1] for option in options)
-    sure = 1.0 + SURE * TURN_S / np.ptp(log.time_s)
-    limit = min(1.0, sure * best)
-    near = [option for option in options if option[0][1] <= limit] or options
-    # The second option of each order and frame has linear velocities in the body frame.
-    is_body = near[0][0][0] > 1.0 and near[1][0][0] <= 1.0
-    misfit, order, frame, log.base_pose, log.base_twist, slope = near[int(is_body)]
-    if order == "xyzw":
-        yield "base_quat is x y z w: it is turned to w x y z"
-    if is_body:
-        yield "base_linvel is in the body frame: it is turned"
-    if frame == "world":
-        yield "base_angvel is in the world frame: it is turned"
+    readings = [*_base_readings(log)]
+    best = min(misfit[1] for misfit, *_ in readings)
+    limit = min(1.0, (1.0 + SURE * TURN_S / np.ptp(log.time_s)) * best)
+    near = [each for each in readings if each[0][1] <= limit] or readings
+    reading = min(near, key=lambda each: bool(each[0][0] > 1.0))
+    misfit, _, found, log.base_pose, log.base_twist, slope = reading
+    yield from found
     if len({order for _, order, *_ in near}) > 1:
         log.findings.append(
             "base_angvel does not show the order of base_quat: it is taken as w x y z; "
@@ -341,13 +389,17 @@ def _check_base(log: Log) -> Iterator[str]:
             yield "base velocities do not fit the pose: its differences are used"
         else:
             log.findings.append("no base velocities: differences of the pose are used")
-    turn = UPRIGHT[log.up]
-    log.base_pose[:, :3] = turn.apply(log.base_pose[:, :3])
-    log.base_twist[:, :3] = turn.apply(log.base_twist[:, :3])
-    if log.up_of == "pose":
+    _turn_upright(log)
+
+
+def _turn_upright(log: Log) -> None:
+    """Turn the base, or its position alone, so that z is up."""
+    turn = UPRIGHT[log.mapped.up]
+    for columns in (log.base_pose[:, :3], log.base_twist[:, :3]):
+        columns[:] = turn.apply(columns)
+    if log.mapped.up_of == "pose":
         pose = Rotation.from_quat(log.base_pose[:, 3:], scalar_first=True)
-        pose = turn * pose * turn.inv()
-        log.base_pose[:, 3:] = pose.as_quat(scalar_first=True)
+        log.base_pose[:, 3:] = (turn * pose * turn.inv()).as_quat(scalar_first=True)
         log.base_twist[:, 3:] = turn.apply(log.base_twist[:, 3:])
 
 
@@ -359,6 +411,7 @@ def _check_clocks(log: Log) -> Iterator[str]:
     )
     overlap_s = min(last_s, end_s) - max(first_s, begin_s)
     if overlap_s < 0.5 * (last_s - first_s) and log.command_kind:
+        log.is_usable = False
         yield (
             f"command_t runs from {begin_s:g} to {end_s:g} s, but t from {first_s:g} to {last_s:g} s: "
             "give both by one clock"

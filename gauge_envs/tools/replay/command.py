@@ -26,7 +26,7 @@ def replay(
         list[Path],
         arguments.option(
             arguments.SCENE,
-            "The robot: MJCF or URDF. Give it again for models to compare with the first.",
+            "The robot: MJCF or URDF. Others, or YAML of mujoco.sysid, are compared with the first.",
             "--model",
             "-m",
             metavar="FILE",

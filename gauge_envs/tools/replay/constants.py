@@ -15,7 +15,12 @@ from gauge_envs.pages.document import Document, Paragraph, Tone
 from gauge_envs.pages.table import Column, Table
 from gauge_envs.tools.replay.causes import Cause, ParameterGroup, candidates
 from gauge_envs.tools.replay.fit import THRESHOLDS, Fit, Problem, fit_values
-from gauge_envs.tools.replay.judge import judge_document, judge_setups, load_setups
+from gauge_envs.tools.replay.judge import (
+    YAML,
+    judge_document,
+    judge_setups,
+    load_setups,
+)
 from gauge_envs.tools.replay.log import FloatArray, LogMap
 from gauge_envs.tools.replay.model import Replayer, Setup, quiet_engine, uses_degrees
 from gauge_envs.tools.replay.paste import Change
@@ -84,7 +89,7 @@ def fit_logs(
             given=mapped,
             mapped=mapped,
         )
-        if write is not None and write.suffix in (".yaml", ".yml"):
+        if write is not None and write.suffix in YAML:
             write_whole(write, parameter_dict(found.values))
         elif write is not None:
             change.write(model, write)

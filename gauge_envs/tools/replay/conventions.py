@@ -43,6 +43,8 @@ def find_conventions(
     """
     texts: list[str] = []
     log = read(mapped)
+    if not log.is_usable:
+        return mapped, texts
     best = misfits(log, model, mapped)
     for _ in range(1 + len(log.joints)):
         found = []
@@ -119,13 +121,12 @@ def _conventions(
         yield f"{first} and {second} are exchanged", with_joints(mapped, exchanged)
 
 
-def fixed_base(log: Log, model: mujoco.MjModel) -> Iterator[str]:
-    """Yield the motion of a base that is fixed in the model."""
+def check_base(log: Log, model: mujoco.MjModel) -> None:
+    """Name the motion of a base that is fixed in the model."""
     is_free = (model.jnt_type == mujoco.mjtJoint.mjJNT_FREE.value).any()
-    if is_free or not log.base_pose.shape[1]:
-        return
-    moved = np.ptp(log.base_pose, axis=0).max()
-    if moved > MOVES:
-        yield (
+    moved = np.ptp(log.base_pose, axis=0).max(initial=0.0)
+    if not is_free and moved > MOVES:
+        log.is_usable = False
+        log.mistakes.append(
             f"its base moves by {moved:.2g} m, but the base of the model is fixed: add a free joint to the model"
         )

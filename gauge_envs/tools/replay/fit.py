@@ -147,6 +147,11 @@ class Fit:
         return [cause.name for cause, _ in self.terms]
 
     @property
+    def label(self) -> str:
+        """Names of the causes in one text."""
+        return " and ".join(self.names)
+
+    @property
     def error(self) -> float:
         """Mean squared error over that of the noise on held-out pieces; the linear one before `Problem.predict`."""
         if self.held_out.size:
@@ -292,7 +297,7 @@ class Problem:
             )
             is_seen = problem.before.error > 0.5 * self.before.error
             problem.weight = self.excess(self.before) / problem.excess(problem.before)
-            (long,) = problem.judged([fit], fit.names)
+            (long,) = problem.judged([fit], [fit.label])
             # A chaotic motion is missed more and more.
             limit = 2.0 * max(self.excess(fit), 0.0) + THRESHOLDS.near_noise
             if is_seen and problem.excess(long) < limit:
@@ -321,24 +326,29 @@ class Problem:
     def judged(self, fits: Sequence[Fit], names: Sequence[str]) -> list[Fit]:
         """Return fits of other pieces with the residuals of these, the best first.
 
-        The first one, and a few rivals that may be as good, are fitted again where they miss the noise.
+        A few rivals that may be as good as the first one are fitted again where they miss the noise. Of those that
+        reach it, the one with the fewest numbers is the best.
         """
         found = []
         for index, fit in enumerate(fits):
             judged = self.predict(fit)
-            is_rival = index == 0 or " and ".join(fit.names) in names
+            is_rival = fit.label in names
             is_far = judged.error > self.floor * (1.0 + THRESHOLDS.near_noise)
             is_few = index < THRESHOLDS.max_polished
             if is_rival and is_few and is_far and len(fit.numbers):
                 again = self.minimize(judged, measure=True)
                 judged = min(judged, again, key=self.cost)
             found.append(judged)
-        return sorted(found, key=self.cost)
+        return sorted(found, key=self._rank)
+
+    def _rank(self, fit: Fit) -> tuple[float, int, float]:
+        excess = max(self.excess(fit), THRESHOLDS.near_noise)
+        return excess, len(fit.numbers), self.cost(fit)
 
     def still_equal(self, fits: Sequence[Fit], names: Sequence[str]) -> list[str]:
         """Return the names whose fits on these pieces are as good as the first one."""
         limit = 2.0 * max(self.excess(fits[0]), 0.0) + THRESHOLDS.max_excess_of_several
-        found = {" and ".join(fit.names): fit for fit in fits[1:]}
+        found = {fit.label: fit for fit in fits[1:]}
         return [
             name for name in names if name in found and self.excess(found[name]) < limit
         ]

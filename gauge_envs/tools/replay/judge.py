@@ -8,21 +8,25 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import t as student
 
-from gauge_envs.errors import ParameterError
+from gauge_envs.errors import FileError, ParameterError
+from gauge_envs.optional import needs_extra
 from gauge_envs.pages.document import Document, Paragraph, Tone
 from gauge_envs.pages.table import Column, Table
+from gauge_envs.reading import reading
+from gauge_envs.tools.replay.causes import candidates, change_setup
 from gauge_envs.tools.replay.log import FloatArray, LogMap
 from gauge_envs.tools.replay.model import (
     Replayer,
     Setup,
-    build_setup,
     joint_names,
+    law_setups,
     load_model,
     quiet_engine,
 )
 from gauge_envs.tools.replay.readers import read_log
 from gauge_envs.tools.replay.schema import ModelLine
 
+YAML = (".yaml", ".yml")
 HORIZONS_S = (0.1, 0.5, 2.0)
 MAX_PIECES = 60
 """Pieces of a log; they do not overlap, so that they count as independent."""
@@ -36,7 +40,8 @@ def judge_models(
 
     Args:
         logs: Logs that no model was fitted to.
-        models: MJCF or URDF; the first one is the nominal one.
+        models: MJCF or URDF; the first one is the nominal one. A `ParameterDict` of `mujoco.sysid`, in YAML, is this
+            model with other constants.
         mapped: Names, signs, units and gains.
 
     Raises:
@@ -44,9 +49,16 @@ def judge_models(
         ParameterError: The logs are too short, or a log and a model do not go together.
     """
     with quiet_engine():
-        setups = [load_setups(logs, model, mapped) for model in models]
-        names = [model.name for model in models]
-        return judge_setups(names, setups)
+        setups = []
+        for model in models:
+            is_values = model.suffix in YAML
+            pairs = load_setups(logs, models[0] if is_values else model, mapped)
+            if is_values:
+                pairs = [
+                    (each, with_constants(each, setup, model)) for each, setup in pairs
+                ]
+            setups.append(pairs)
+        return judge_setups([model.name for model in models], setups)
 
 
 def load_setups(
@@ -54,12 +66,36 @@ def load_setups(
 ) -> list[tuple[Replayer, Setup]]:
     """Return each log with the setup of a model."""
     compiled = load_model(model, mapped.control)
-    pairs = []
-    for file in logs:
-        log = read_log(file, joint_names(compiled), mapped)
-        setup = build_setup(compiled, log, mapped.control)
-        pairs.append((Replayer(log, compiled), setup))
-    return pairs
+    names = joint_names(compiled)
+    replayers = [Replayer(read_log(file, names, mapped), compiled) for file in logs]
+    return [(each, law_setups(each, mapped.control)[0]) for each in replayers]
+
+
+def with_constants(replayer: Replayer, setup: Setup, file: Path) -> Setup:
+    """Return a setup with the constants of a `ParameterDict` of `mujoco.sysid`, as `armature of hip`.
+
+    Raises:
+        FileError: The file is no such dictionary, or names no constant of the model.
+    """
+    with needs_extra("reading YAML", "logs"):
+        import yaml
+    with reading(file, FileError, "a ParameterDict of mujoco.sysid") as content:
+        states = yaml.safe_load(content)
+        values = {
+            name: float(np.ravel(each["value"])[0]) for name, each in states.items()
+        }
+    changes = []
+    for cause in candidates(replayer, setup):
+        names = [f"{cause.name} of {parameter}" for parameter in cause.parameters]
+        if not values.keys().isdisjoint(names):
+            present = zip(names, cause.present, strict=True)
+            found = [values.pop(name, value) for name, value in present]
+            changes.append((cause, np.array(found)))
+    if values:
+        example = f"armature of {replayer.log.joints[0]}"
+        reason = f"no constant of the model; a name is as {example!r}"
+        raise FileError(file, next(iter(values)), reason)
+    return change_setup(setup, changes)
 
 
 def judge_setups(

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 from pydantic import BaseModel
+from scipy.optimize import linear_sum_assignment
 
 from gauge_envs.errors import FileError
 from gauge_envs.names import first_names
@@ -30,6 +31,9 @@ SAMPLED = (
     "action",
 )
 """Attributes of a log with a row a sample."""
+
+ANGLES = ("position", "target", "ctrl")
+"""Quantities that contain the offset of a joint; with the velocities they have the unit of the map."""
 
 MIN_NOISE = 2e-4
 MIN_RATE_NOISE = 2e-3
@@ -86,6 +90,15 @@ class LogMap(BaseModel, extra="forbid"):
         """Return the entry of a joint; the default without one."""
         return self.joints.get(name, JointMap())
 
+    def converted(self, name: str, kind: str, values: FloatArray) -> FloatArray:
+        """Return a column of the file in the terms of the model; a force has the sign alone."""
+        entry, is_angle = self.joint(name), kind in ANGLES
+        if not is_angle and kind != "velocity":
+            return entry.sign * values
+        unit = np.deg2rad(1.0) if self.unit == "deg" else 1.0
+        scaled = entry.sign * entry.scale * unit * values
+        return scaled + entry.offset_rad if is_angle else scaled
+
     def check_joints(self, known: Mapping[str, Any]) -> None:
         """Raise an error for a joint of the map that a log lacks."""
         tables = [self.joints, *dict(self.control).values()]
@@ -137,10 +150,10 @@ class Log:
         base_twist: Its linear velocity in the world and angular velocity in the body frame, shape [N, 6].
         observation: What the policy saw, shape [N, K]; no column without.
         action: What the policy returned, shape [N, C]; no column without.
-        quaternion: Order of the numbers of a quaternion in the file, as the map gives it.
-        up, up_of: Axis that is up in the file, and whether that of the pose or of the position alone.
+        mapped: The map by which it was read.
         findings: What is not known of the log.
         mistakes: What is wrong in the log, and what was done about it.
+        is_usable: Whether every mistake is corrected, so that the physics can be compared.
     """
 
     name: str
@@ -156,13 +169,12 @@ class Log:
     base_twist: FloatArray
     observation: FloatArray
     action: FloatArray
-    quaternion: str | None
-    up: str
-    up_of: str
+    mapped: LogMap
     position_noise: FloatArray = field(init=False)
     velocity_noise: FloatArray = field(init=False)
     findings: list[str] = field(default_factory=list)
     mistakes: list[str] = field(default_factory=list)
+    is_usable: bool = True
 
     @property
     def interval_s(self) -> float:
@@ -183,11 +195,22 @@ class Log:
         for name in SAMPLED:
             setattr(self, name, getattr(self, name)[samples])
 
+    def held_rows(self) -> NDArray[np.intp]:
+        """Return the row of the command that holds at each sample, shape [N]."""
+        rows = np.searchsorted(self.command_time_s, self.time_s, side="right") - 1
+        return np.maximum(rows, 0)
+
     def held_command(self) -> FloatArray:
         """Return the command that holds at each sample, shape [N, C]."""
-        rows = np.searchsorted(self.command_time_s, self.time_s, side="right") - 1
-        held: FloatArray = self.command[np.maximum(rows, 0)]
-        return held
+        return self.command[self.held_rows()]
+
+
+def best_columns(first: FloatArray, second: FloatArray) -> tuple[Any, FloatArray]:
+    """Return the column of a table that each column of another one follows, up to its sign, and all correlations."""
+    # A constant has no correlation; the trend avoids a division by zero.
+    trend, count = 1e-9 * np.arange(len(first)), first.shape[1]
+    match = np.corrcoef(np.hstack([first, second]).T + trend)[:count, count:]
+    return linear_sum_assignment(np.abs(match), maximize=True)[1], match
 
 
 def noise_of(time_s: FloatArray, values: FloatArray) -> FloatArray:

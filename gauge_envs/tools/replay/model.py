@@ -37,6 +37,9 @@ MAX_GAP = 3.0
 """Interval between two samples, over the median, that a prediction may cross."""
 MAX_NOISE_GROWTH = 9.0
 """Largest variance of the propagated noise, over that of a motion with the recorded velocity."""
+LAW_S = 0.25
+LAW_PIECES = 20
+"""Length and number of the predictions that decide how a law is integrated."""
 DRAWS = 8
 """Draws of the noise of the initial state."""
 MAX_POSITION = 1e6
@@ -56,7 +59,7 @@ class Setup:
         command: Commands; angles count from the default pose, which is the offset, shape [M, nu].
         is_driven: Whether an actuator has commands, shape [nu].
         scale, offset: See above, shape [nu].
-        delay_s: Time from the command to its effect.
+        delay_s: Time from the command to its effect, shape [1].
         zero: What is added to the angle of each joint of the log, shape [J].
     """
 
@@ -66,7 +69,7 @@ class Setup:
     is_driven: BoolArray
     scale: FloatArray
     offset: FloatArray
-    delay_s: float
+    delay_s: FloatArray
     zero: FloatArray
 
     @property
@@ -154,7 +157,7 @@ def build_setup(model: mujoco.MjModel, log: Log, control: ControlMap) -> Setup:
         is_driven=np.zeros(count, bool),
         scale=np.ones(count),
         offset=np.zeros(count),
-        delay_s=control.delay_s,
+        delay_s=np.array([control.delay_s]),
         zero=np.zeros(len(log.joints)),
     )
     _use_joint_units(setup.model)
@@ -495,3 +498,22 @@ class Replayer:
             torques[place] = torque[self.dof]
             is_touching = is_touching or bool(data.ncon)
         return torques, is_touching
+
+
+def law_setups(replayer: Replayer, control: ControlMap) -> list[Setup]:
+    """Return the setups that state what the user gave, the one that predicts best first.
+
+    A law outside of the model may be computed in the user's own loop, from the state before each step, or inside of
+    an implicit integrator.
+    """
+    setup = build_setup(replayer.model, replayer.log, control)
+    if control.kp is None:
+        return [setup]
+    explicit = copy.deepcopy(setup)
+    explicit.model.opt.integrator = mujoco.mjtIntegrator.mjINT_EULER.value
+    pieces = replayer.pieces(LAW_S, LAW_PIECES)
+
+    def error(each: Setup) -> float:
+        return float(np.median(np.abs(replayer.predict(each, pieces))))
+
+    return sorted((setup, explicit), key=error)

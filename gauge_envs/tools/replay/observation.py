@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from gauge_envs.errors import FileError
 from gauge_envs.optional import needs_extra
 from gauge_envs.reading import faults_of
-from gauge_envs.tools.replay.log import FloatArray, Log, LogMap
+from gauge_envs.tools.replay.log import FloatArray, Log, LogMap, noise_of
 
 Variants: TypeAlias = list[tuple[str, FloatArray]]
 """The right values of a term, without a text, and the usual wrong ones, shape [N, K]."""
@@ -31,6 +31,10 @@ MAX_RATIO = 0.4
 """Difference that a usual mistake leaves, over the one without it; noise is part of both."""
 UNLIKE = 0.5
 """Difference from which on a term is named without a usual mistake."""
+WHITE = 0.8
+"""Noise of a difference, over its standard deviation, from which on it is noise."""
+LOUD = 3.0
+"""Noise of an observation, over that of the state, from which on it is named."""
 WORD = 0.02
 """Difference that one more word must bring."""
 FAR_S = 0.3
@@ -120,6 +124,10 @@ def _variants(
     elif term == "projected_gravity":
         yield "", turn.inv().apply(DOWN)
         yield "turned the other way", turn.apply(DOWN)
+        yield (
+            "turned into the body frame twice",
+            turn.inv().apply(turn.inv().apply(DOWN)),
+        )
         for order, shift in (
             ("x y z w read as w x y z", -1),
             ("w x y z read as x y z w", 1),
@@ -320,6 +328,15 @@ def _differs(
     gap, words = min(tried, key=lambda row: row[0] + WORD * sum(map(bool, row[1])))
     if gap < MAX_RATIO * first:
         yield " ".join(filter(None, words))
+        return
+    rest = seen - variants[0][1]
+    rows = np.arange(float(len(rest)))
+    white, own = noise_of(rows, rest), noise_of(rows, variants[0][1])
+    loudest = np.argmax(white - LOUD * own)
+    # The state of the log has noise too.
+    limit = max(WHITE * np.std(rest[:, loudest]), LOUD * own[loudest])
+    if white[loudest] > limit:
+        yield f"with noise of {white[loudest]:.2g}"
     elif first > UNLIKE:
         yield f"{100.0 * first:.0f} % off its motion, and no usual mistake explains it"
 

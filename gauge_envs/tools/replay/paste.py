@@ -19,6 +19,7 @@ JOINT_FIELDS = {
     "armature": "dof_armature",
     "frictionloss": "dof_frictionloss",
     "damping": "dof_damping",
+    "range": "jnt_range",
 }
 """Field of the model by attribute of a joint."""
 BODY_FIELDS = {
@@ -28,10 +29,7 @@ BODY_FIELDS = {
     "diaginertia": "body_inertia",
 }
 """Field of the model by attribute of an inertial."""
-
-
-SPEC_FIELDS = {"pos": "ipos", "quat": "iquat", "diaginertia": "inertia"}
-"""Field of the body of a specification by attribute of an inertial."""
+OPTIONS = ("gravity", "timestep")
 
 
 @dataclass(frozen=True)
@@ -58,29 +56,29 @@ class Change:
 
         An element of MJCF has the attributes that change; a `<position>` takes the place of a `<general>`.
         """
-        mjcf = [_element(tag, values) for tag, values in self._elements()]
-        places = {"map": [*self._map()], "MJCF": mjcf}
+        places = {"map": [*self._map()], "MJCF": [*self._elements()]}
         return {place: "\n".join(lines) for place, lines in places.items() if lines}
 
     def write(self, model: Path, out: Path) -> None:
         """Write a model file with the change, except for what stands in the map."""
         spec = mujoco.MjSpec.from_file(str(model))
-        for tag, values in self._elements():
-            if tag == "option":
-                part = spec.option
-            elif tag == "joint":
-                part = spec.joint(values["name"])
-            else:
-                parts = spec.bodies if tag == "body" else spec.actuators
-                part = parts[values["id"]]
-            for name, value in values.items():
-                _set_attribute(part, name, value)
-        spec.compile()
+        changed, after = spec.compile(), self.after.model
+        for field in (*JOINT_FIELDS.values(), *BODY_FIELDS.values()):
+            rows = self._rows(field)
+            getattr(changed, field)[rows] = getattr(after, field)[rows]
+        changed.jnt_limited[self._rows("jnt_range")] = 1
+        changed.opt.gravity[:], changed.opt.timestep = (
+            getattr(after.opt, name) for name in OPTIONS
+        )
+        for index, values in self._drives():
+            drive = changed.actuator(index)
+            if "kp" in values:
+                drive.gainprm[0] = values["kp"]
+                drive.biasprm[1:3] = -values["kp"], -values["kv"]
+            if "forcerange" in values:
+                drive.forcelimited, drive.forcerange = 1, values["forcerange"]
+        spec.copy_back(changed)
         write_whole(out, spec.to_xml().encode())
-
-    def _elements(self) -> Iterator[tuple[str, dict[str, Any]]]:
-        for part in (self._joints, self._actuators, self._bodies, self._options):
-            yield from part()
 
     def _rows(self, *fields: str) -> list[int]:
         """Return the rows of fields of the model that change."""
@@ -92,51 +90,51 @@ class Change:
             found |= set(np.nonzero(old != new)[0].tolist())
         return sorted(found)
 
-    def _joints(self) -> Iterator[tuple[str, dict[str, Any]]]:
+    def _elements(self) -> Iterator[str]:
+        """Yield the elements of MJCF that change."""
         model = self.after.model
         for attribute, field in JOINT_FIELDS.items():
-            for dof in self._rows(field):
-                name = model.joint(model.dof_jntid[dof]).name
-                value = getattr(model, field)[dof]
-                yield "joint", {"name": name, attribute: value}
-        for index in self._rows("jnt_range"):
-            joint = model.joint(index)
-            is_hinge = joint.type[0] == mujoco.mjtJoint.mjJNT_HINGE.value
-            unit = np.rad2deg(1.0) if is_hinge and self.in_degrees else 1.0
-            limits = {"limited": "true", "range": unit * joint.range}
-            yield "joint", {"name": joint.name, **limits}
-
-    def _actuators(self) -> Iterator[tuple[str, dict[str, Any]]]:
-        laws = self._rows("actuator_gainprm", "actuator_biasprm")
-        efforts = self._rows("actuator_forcerange")
-        for index in sorted({*laws, *efforts}):
-            drive = self.after.model.actuator(index)
+            for row in self._rows(field):
+                is_range = attribute == "range"
+                joint = model.joint(row if is_range else model.dof_jntid[row])
+                numbers = getattr(model, field)[row]
+                is_hinge = joint.type[0] == mujoco.mjtJoint.mjJNT_HINGE.value
+                if is_range and is_hinge and self.in_degrees:
+                    numbers = np.rad2deg(numbers)
+                limited = {"limited": "true"} if is_range else {}
+                values = {"name": joint.name, **limited, attribute: numbers}
+                yield f"<joint {_attributes(values)}/>"
+        for index, values in self._drives():
             file = self.replayer.model.actuator(index)
             joint = self.replayer.model.joint(file.trnid[0]).name
-            values: dict[str, Any] = {"id": index, "name": file.name, "joint": joint}
-            gear, is_servo = abs(file.gear[0]), file.biasprm[1] != 0.0
-            if is_servo:
+            tag = "position" if "kp" in values else "motor"
+            yield f"<{tag} {_attributes({'name': file.name, 'joint': joint, **values})}/>"
+        for row in self._rows(*BODY_FIELDS.values()):
+            numbers = {
+                name: getattr(model, key)[row] for name, key in BODY_FIELDS.items()
+            }
+            body = f"body {_attributes({'name': model.body(row).name})}".rstrip()
+            yield f"<{body}><inertial {_attributes(numbers)}/></body>"
+        for name in OPTIONS:
+            old, new = (
+                getattr(each.model.opt, name) for each in (self.before, self.after)
+            )
+            if np.any(old != new):
+                yield f"<option {_attributes({name: new})}/>"
+
+    def _drives(self) -> Iterator[tuple[int, dict[str, Any]]]:
+        """Yield the actuators that change, with gains and limit in the unit of the file."""
+        efforts = self._rows("actuator_forcerange")
+        for index in sorted({*self._rows("actuator_biasprm"), *efforts}):
+            drive = self.after.model.actuator(index)
+            file = self.replayer.model.actuator(index)
+            gear, values = abs(file.gear[0]), {}
+            if file.biasprm[1] != 0.0:
                 values["kp"], values["kv"] = -drive.biasprm[1:3] / gear**2
             if index in efforts:
                 values["forcerange"] = drive.forcerange / gear
-            if len(values) > 3:
-                yield "position" if is_servo else "motor", values
-
-    def _bodies(self) -> Iterator[tuple[str, dict[str, Any]]]:
-        model = self.after.model
-        for index in self._rows(*BODY_FIELDS.values()):
-            name = model.body(index).name
-            numbers = {
-                attribute: getattr(model, field)[index]
-                for attribute, field in BODY_FIELDS.items()
-            }
-            yield "body", {"id": index, "name": name, **numbers}
-
-    def _options(self) -> Iterator[tuple[str, dict[str, Any]]]:
-        old, new = self.before.model.opt, self.after.model.opt
-        for name in ("gravity", "timestep"):
-            if np.any(getattr(old, name) != getattr(new, name)):
-                yield "option", {name: getattr(new, name)}
+            if values:
+                yield index, values
 
     def _map(self) -> Iterator[str]:
         mapped = self.mapped
@@ -158,21 +156,22 @@ class Change:
 
     def _control(self) -> dict[str, Any]:
         """Return what changes in the controller outside of the model; a table has all joints."""
-        before, after = self.before, self.after
-        control: dict[str, Any] = {}
-        if after.delay_s != before.delay_s:
-            control["delay_s"] = float(_text(after.delay_s))
-        model = self.replayer.model
-        driven = np.flatnonzero(before.is_driven)
+        setups, model = (self.before, self.after), self.replayer.model
+        driven = np.flatnonzero(self.before.is_driven)
         joints = [model.joint(model.actuator_trnid[k, 0]).name for k in driven]
-        outside = driven[model.actuator_biasprm[driven, 1] == 0.0]
-        laws = [-each.model.actuator_biasprm[:, 1:3].T for each in (before, after)]
-        tables = {"kp": (laws[0][0], laws[1][0]), "kd": (laws[0][1], laws[1][1])}
-        if not len(outside):
-            tables = {}
+        tables: dict[str, list[Any]] = {}
+        if (model.actuator_biasprm[driven, 1] == 0.0).any():
+            laws = [-each.model.actuator_biasprm for each in setups]
+            tables = {
+                "kp": [law[:, 1] for law in laws],
+                "kd": [law[:, 2] for law in laws],
+            }
         if self.replayer.log.command_kind == "action":
-            tables["action_scale"] = before.scale, after.scale
-            tables["default_rad"] = before.offset, after.offset
+            tables["action_scale"] = [each.scale for each in setups]
+            tables["default_rad"] = [each.offset for each in setups]
+        control: dict[str, Any] = {}
+        if self.after.delay_s != self.before.delay_s:
+            control["delay_s"] = float(_text(self.after.delay_s))
         for name, (old, new) in tables.items():
             if (old != new).any():
                 numbers = [float(_text(value)) for value in new[driven]]
@@ -190,38 +189,10 @@ def _items(table: Mapping[str, Any]) -> Iterator[str]:
             yield f"{name} = {value!r}".replace("'", '"')
 
 
-def _element(tag: str, attributes: Mapping[str, Any]) -> str:
-    texts = {
-        name: f'{name}="{_text(value)}"'
-        for name, value in attributes.items()
-        if name != "id" and (not isinstance(value, str) or value)
-    }
-    if tag != "body":
-        return f"<{tag} {' '.join(texts.values())}/>"
-    body = f"body {texts.pop('name', '')}".rstrip()
-    return f"<{body}><inertial {' '.join(texts.values())}/></body>"
-
-
-def _set_attribute(part: Any, name: str, value: Any) -> None:
-    """Give a number to a part of a specification."""
-    if name == "kp":
-        part.gainprm[0], part.biasprm[1] = value, -value
-        part.gaintype = mujoco.mjtGain.mjGAIN_FIXED
-        part.biastype = mujoco.mjtBias.mjBIAS_AFFINE
-    elif name == "kv":
-        part.biasprm[2] = -value
-    elif name == "damping":
-        part.damping[0] = value
-    elif name == "limited":
-        part.limited = mujoco.mjtLimited.mjLIMITED_TRUE
-    elif name == "forcerange":
-        part.forcelimited = mujoco.mjtLimited.mjLIMITED_TRUE
-        part.forcerange = value
-    elif name in BODY_FIELDS:
-        part.explicitinertial = True
-        setattr(part, SPEC_FIELDS.get(name, name), value)
-    elif name not in ("id", "name", "joint"):
-        setattr(part, name, value)
+def _attributes(values: Mapping[str, Any]) -> str:
+    """Return attributes of XML without empty names."""
+    texts = {name: _text(value) for name, value in values.items()}
+    return " ".join(f'{name}="{text}"' for name, text in texts.items() if text)
 
 
 def _text(value: ArrayLike | str) -> str:

@@ -21,7 +21,7 @@ from gauge_envs.optional import needs_extra
 from gauge_envs.reading import content_of, faults_of, reading
 from gauge_envs.text import csv_text, json_document
 from gauge_envs.tools.replay.checks import check_log
-from gauge_envs.tools.replay.log import SAMPLED, FloatArray, Log, LogMap
+from gauge_envs.tools.replay.log import FloatArray, Log, LogMap
 
 Table: TypeAlias = dict[str, FloatArray]
 """Columns of a quantity by joint."""
@@ -66,11 +66,11 @@ COLUMN = re.compile(
 )
 """Title of a column: `q_des` is a name, and not the joint `des` of `q`."""
 
-ANGLES = ("position", "target", "ctrl")
-"""Quantities that contain the offset of a joint; with the velocities they have the unit of the map."""
-
 COMMANDS = ("action", "ctrl", "target", "tau")
 """Kinds of command, the one that is used first where a log has several."""
+
+OF_JOINTS = (*COMMANDS, "position", "velocity")
+"""Quantities with a column a joint."""
 
 EPISODE_GAP = 10.0
 """Interval between two episodes, over that of the samples; no prediction crosses it."""
@@ -247,12 +247,6 @@ def _topic_columns(
             yield f"{kind}[{name}]", column
 
 
-def _read_folder(file: Path, mapped: LogMap) -> Columns:
-    """Read a LeRobot data set, or a bag of ROS 2."""
-    reader = _read_parquet if (file / "meta").is_dir() else _read_bag
-    return reader(file, mapped)
-
-
 READERS: dict[str, Callable[[Path, LogMap], Columns]] = {
     ".npz": _read_npz,
     ".parquet": _read_parquet,
@@ -282,69 +276,69 @@ def read_log(
         MissingExtraError: The package that reads this format is not installed.
     """
     mapped = mapped or LogMap()
-    # Bags and data sets may be too large to be read at once.
-    is_large = file.is_dir() or READERS.get(file.suffix) in (_read_bag, _read_hdf5)
-    opened = faults_of if is_large else reading
-    with opened(file, FileError, "a CSV, NPZ, Parquet, HDF5 or MCAP file"):
-        reader = READERS.get(file.suffix, _read_csv)
-        columns = (_read_folder if file.is_dir() else reader)(file, mapped)
-    by_title = dict(columns)
-    order = mapped.order or [str(name) for name in by_title.get("joints", ())]
+    columns = _columns_of(file, mapped)
+    titles = dict(columns)
+    order = mapped.order or [str(name) for name in titles.get("joints", ())]
     found = _by_joint(file, columns, order or names, mapped)
-    for episode in [*found["episode"].values()] if mapped.episodes else ():
-        is_chosen = np.isin(episode, mapped.episodes)
-        for table in found.values():
-            table.update({name: column[is_chosen] for name, column in table.items()})
-    for quantity in mapped.columns:
-        if not found.get(quantity):
-            reason = f"no such quantity ({' '.join(COLUMN_NAMES)}), or no such column: {first_names([*by_title])}"
-            raise FileError("--map", f"columns.{quantity}", reason)
+    if mapped.interval_s and not found["time"]:
+        rows = len(next(iter(found["position"].values()), ()))
+        found["time"] = {"": mapped.interval_s * np.arange(float(rows))}
     actions = found["action"]
-    command_kind = _use_commands(found, mapped)
-    if not found["time"] and mapped.interval_s and found["position"]:
-        count = len(next(iter(found["position"].values())))
-        found["time"] = {"": mapped.interval_s * np.arange(float(count))}
-    for quantity in ("time", "position", command_kind):
-        if quantity and not found[quantity]:
-            expected = " ".join((quantity, *COLUMN_NAMES[quantity]))
-            titles = first_names([*by_title])
-            reason = (
-                f"no column {quantity} ({expected}); the file has {titles}: "
-                "name it in [columns] of --map"
-            )
-            raise FileError(file, None, reason)
-    mapped.check_joints(found["position"] | found[command_kind])
-    rates, joints = found["velocity"], tuple(found["position"])
+    kind: str = mapped.command or next((k for k in COMMANDS if found[k]), "")
+    # The map may say that actions are commands of another kind.
+    commands = found.get(kind) or actions
+    has = found | {kind: commands, "": True}
+    for quantity in ("time", "position", kind, *mapped.columns):
+        if not has.get(quantity):
+            words = " ".join(COLUMN_NAMES.get(quantity, COLUMN_NAMES))
+            reason = f"no such column ({words}); the file has {first_names([*titles])}: name it in [columns] of --map"
+            raise FileError(file, quantity, reason)
+    mapped.check_joints(found["position"] | commands)
+    joints, rates = tuple(found["position"]), found["velocity"]
     found["velocity"] = {name: rates[name] for name in joints if name in rates}
     time_s = _time_of(found)
     command_time_s = next(iter(found["command_time"].values()), time_s)
-    found["action"] = actions if command_time_s is time_s else {}
 
-    def sampled(*quantities: str) -> FloatArray:
-        return _matrix(file, found, quantities, len(time_s))
+    def table(*parts: Table, times_s: FloatArray = time_s) -> FloatArray:
+        values = [column for part in parts for column in part.values()]
+        for column in values:
+            if len(column) != len(times_s):
+                reason = f"a column has {len(column)} rows, but there are {len(times_s)} times"
+                raise FileError(file, None, reason)
+        return np.reshape(values, (len(values), len(times_s))).T
 
     log = Log(
         name=file.name,
         joints=joints,
         time_s=time_s,
-        position=sampled("position"),
-        velocity=sampled("velocity"),
-        command=_matrix(file, found, [command_kind], len(command_time_s)),
-        command_kind=command_kind,
-        command_names=tuple(found[command_kind]),
+        position=table(found["position"]),
+        velocity=table(found["velocity"]),
+        command=table(commands, times_s=command_time_s),
+        command_kind=kind,
+        command_names=tuple(commands),
         command_time_s=command_time_s,
-        base_pose=sampled("base_position", "base_quaternion"),
-        base_twist=sampled("base_linear_velocity", "base_angular_velocity"),
-        observation=sampled("policy_observation"),
-        action=sampled("action"),
-        quaternion=mapped.quaternion,
-        up=mapped.up,
-        up_of=mapped.up_of,
+        base_pose=table(found["base_position"], found["base_quaternion"]),
+        base_twist=table(found["base_linear_velocity"], found["base_angular_velocity"]),
+        observation=table(found["policy_observation"]),
+        action=table(actions if command_time_s is time_s else {}),
+        mapped=mapped,
     )
-    if not order and any(QUANTITIES.get(title) == "position" for title in by_title):
+    if not order and any(QUANTITIES.get(title) == "position" for title in titles):
         log.findings.append("columns without names are taken in the order of the model")
     check_log(log)
     return log
+
+
+def _columns_of(file: Path, mapped: LogMap) -> Columns:
+    """Return the columns of a file or folder."""
+    reader = READERS.get(file.suffix, _read_csv)
+    if file.is_dir():
+        reader = _read_parquet if (file / "meta").is_dir() else _read_bag
+    # Bags and data sets may be too large to be read at once.
+    is_large = file.is_dir() or reader in (_read_bag, _read_hdf5)
+    opened = faults_of if is_large else reading
+    with opened(file, FileError, "a CSV, NPZ, Parquet, HDF5 or MCAP file"):
+        return reader(file, mapped)
 
 
 def _time_of(found: Mapping[str, Table]) -> FloatArray:
@@ -354,37 +348,10 @@ def _time_of(found: Mapping[str, Table]) -> FloatArray:
     time_s = time_s + 1e-9 * times.get("nanosec", 0.0)
     for episode in found["episode"].values():
         steps = np.diff(time_s, prepend=time_s[0])
-        steps[np.diff(episode, prepend=episode[0]) != 0.0] = EPISODE_GAP * np.median(
-            steps
-        )
+        is_first = np.diff(episode, prepend=episode[0]) != 0.0
+        steps[is_first] = EPISODE_GAP * np.median(steps)
         time_s = time_s[0] + np.cumsum(steps)
     return time_s
-
-
-def _use_commands(found: dict[str, Table], mapped: LogMap) -> str:
-    """Return the kind of the commands, whose columns are `found` by it; empty without commands.
-
-    The map may say that actions are commands of another kind.
-    """
-    kinds = [kind for kind in COMMANDS if found[kind]]
-    command_kind: str = mapped.command or next(iter(kinds), "")
-    if not found.get(command_kind):
-        found[command_kind] = found["action"]
-    return command_kind
-
-
-def _matrix(
-    file: Path, found: Mapping[str, Table], quantities: Sequence[str], count: int
-) -> FloatArray:
-    """Return the columns of quantities, shape [count, columns]."""
-    columns: list[FloatArray] = []
-    for quantity in quantities:
-        columns += found[quantity].values()
-    for column in columns:
-        if len(column) != count:
-            reason = f"{len(column)} rows, but {count} times"
-            raise FileError(file, quantities[0], reason)
-    return np.reshape(columns, (len(columns), count)).T
 
 
 def _meaning(
@@ -392,12 +359,12 @@ def _meaning(
 ) -> tuple[str, str | None] | None:
     """Return the quantity and joint of a title, which the map may name; None for a column that is not used."""
     for quantity, given in mapped.columns.items():
-        if isinstance(given, list) and title in given:
-            index = given.index(title)
-            is_joint = quantity in (*COMMANDS, *SAMPLED) and index < len(names)
-            return quantity, names[index] if is_joint else str(index)
         if title == given:
             return quantity, None
+        if isinstance(given, list) and title in given:
+            index = given.index(title)
+            is_joint = quantity in OF_JOINTS and index < len(names)
+            return quantity, names[index] if is_joint else str(index)
     match = COLUMN.fullmatch(title)
     return (QUANTITIES[match[1]], match[2]) if match else None
 
@@ -413,28 +380,21 @@ def _by_joint(
         if not meaning:
             continue
         quantity, joint = meaning
-        try:
+        with faults_of(file, FileError, f"numbers in {title}"):
             values = np.atleast_2d(np.array(cells, dtype=float).T)
-        except (TypeError, ValueError) as error:
-            raise FileError(file, title, f"expected numbers: {error}") from error
+        is_named = len(names) == len(values) and quantity in OF_JOINTS
+        labels = names if is_named else map(str, range(len(values)))
         # The map says what an action is.
-        kind: str = quantity
-        if quantity == "action" and mapped.command:
-            kind = mapped.command
-        if mapped.unit == "deg" and kind in (*ANGLES, "velocity"):
-            values = np.deg2rad(values)
-        is_named = len(names) == len(values) and quantity in (*COMMANDS, *SAMPLED)
-        for index, column in enumerate(values):
-            name = joint or (names[index] if is_named else str(index))
-            name = model_names.get(name, name)
+        kind = mapped.command or quantity if quantity == "action" else quantity
+        for label, column in zip(labels, values, strict=True):
+            name = model_names.get(joint or label, joint or label)
             if name in found[quantity]:
                 reason = f"a second column of {name}; rename one"
                 raise FileError(file, title, reason)
-            entry = mapped.joint(name)
-            offset = entry.offset_rad if kind in ANGLES else 0.0
-            # A force has the sign alone.
-            scale = entry.scale if kind in (*ANGLES, "velocity") else 1.0
-            if is_named or joint:
-                scale *= entry.sign
-            found[quantity][name] = scale * column + offset
+            found[quantity][name] = mapped.converted(name, kind, column)
+    if mapped.episodes and found["episode"]:
+        (episode,) = found["episode"].values()
+        is_chosen = np.isin(episode, mapped.episodes)
+        for table in found.values():
+            table.update({name: column[is_chosen] for name, column in table.items()})
     return found

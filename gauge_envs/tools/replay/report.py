@@ -14,15 +14,15 @@ from scipy.interpolate import make_interp_spline
 from gauge_envs.pages.document import Document, Paragraph, Part, Tone
 from gauge_envs.pages.table import Column, Table
 from gauge_envs.tools.replay.causes import ZERO, Cause, candidates
-from gauge_envs.tools.replay.conventions import find_conventions, fixed_base
+from gauge_envs.tools.replay.conventions import check_base, find_conventions
 from gauge_envs.tools.replay.fit import THRESHOLDS, Fit, Interval, Problem
 from gauge_envs.tools.replay.log import FloatArray, Log, LogMap
 from gauge_envs.tools.replay.model import (
     UNLIMITED,
     Replayer,
-    build_setup,
     home_pose,
     joint_names,
+    law_setups,
     load_model,
     quiet_engine,
     uses_degrees,
@@ -102,46 +102,31 @@ def replay(
     """
     given = mapped or LogMap()
     compiled = load_model(model, given.control)
-    names = joint_names(compiled)
+    files = [log] if against is None else [log, against]
 
-    def read(changed: LogMap) -> Log:
-        return read_log(against or log, names, changed)
-
-    def explained(mapped: LogMap) -> tuple[list[Log], Explanation, float]:
-        logs = [read_log(file, names, mapped) for file in (log, against) if file]
-        problems = [
-            Problem(
-                Replayer(each, compiled), build_setup(compiled, each, mapped.control)
-            )
-            for each in logs
-        ]
-        problem = problems[-1]
-        if against is not None:
-            problem.floor = max(1.0, problems[0].before.error)
-        causes = candidates(problem.replayer, problem.setup)
-        explanation = explain(problem, causes, advance)
-        setup = (explanation.change or problem.before).change(problem.setup)
-        misfit = problem.replayer.misfit(setup, problem.pieces)
-        return logs, explanation, misfit.sum()
+    def read(changed: LogMap) -> list[Log]:
+        logs = [read_log(file, joint_names(compiled), changed) for file in files]
+        for each in logs:
+            check_base(each, compiled)
+        return logs
 
     with quiet_engine():
-        mapped, mistakes = find_conventions(read, compiled, given)
-        logs, explanation, misfit = explained(mapped)
+        mapped, mistakes = find_conventions(lambda m: read(m)[-1], compiled, given)
+        logs = read(mapped)
+        explanation, misfit = _explain(logs, compiled, mapped, advance)
         if mistakes and explanation.verdict is not ReplayVerdict.NOISE:
             # A cause may explain as well what another convention does.
-            other = explained(given)
-            if misfit > other[2] + MIN_LEAD:
+            others = read(given)
+            other, misfit_of_other = _explain(others, compiled, given, advance)
+            if misfit > misfit_of_other + MIN_LEAD:
                 mapped, mistakes = given, []
-                logs, explanation, _ = other
-        mistakes += fixed_base(logs[-1], compiled)
+                logs, explanation = others, other
         line = _line(logs, model.name, explanation, mistakes)
-    home = home_pose(compiled, logs[-1], mapped.control)
-    run = load_policy(policy) if policy else None
-    differences = tuple(check_policy(logs[-1], mapped, home, run))
-    if against is not None and not differences:
-        differences = tuple(compare_commands(*logs))
-    if differences and not mistakes:
+    line = replace(line, policy=_policy_side(logs, compiled, mapped, policy))
+    if line.policy and line.verdict is not ReplayVerdict.LOG:
         line = replace(line, verdict=ReplayVerdict.POLICY)
+    if [each.cause for each in line.named] == [ZERO]:
+        line = replace(line, verdict=ReplayVerdict.LOG)
     problem = explanation.problem
     named = explanation.change if line.named else None
     change = Change(
@@ -152,11 +137,53 @@ def replay(
         given=given,
         mapped=mapped,
     )
-    if [each.cause for each in line.named] == [ZERO]:
-        line = replace(line, verdict=ReplayVerdict.LOG)
-    line = replace(line, policy=differences)
-    line = replace(line, sentence=_sentence(line), paste=change.lines())
+    sentence = _sentence(line, explanation)
+    line = replace(line, sentence=sentence, paste=change.lines())
     return ReplayResult(line, problem, explanation.change)
+
+
+def _explain(
+    logs: Sequence[Log],
+    model: mujoco.MjModel,
+    mapped: LogMap,
+    advance: Callable[[str], None],
+) -> tuple[Explanation, float]:
+    """Return what explains the last log, and the misfit that is left."""
+    floor = 1.0
+    if len(logs) > 1:
+        first = Replayer(logs[0], model)
+        floor = max(
+            1.0, Problem(first, law_setups(first, mapped.control)[0]).before.error
+        )
+    replayer = Replayer(logs[-1], model)
+    found: list[Explanation] = []
+    for setup in law_setups(replayer, mapped.control):
+        problem = Problem(replayer, setup, floor=floor)
+        if not all(log.is_usable for log in logs):
+            found.append(Explanation(problem, ReplayVerdict.LOG))
+            break
+        explanation = explain(problem, candidates(replayer, setup), advance)
+        found.append(explanation)
+        if explanation.verdict in (ReplayVerdict.NOISE, ReplayVerdict.CAUSE):
+            break
+    # The verdicts stand from a full explanation to none.
+    explanation = min(found, key=lambda each: [*ReplayVerdict].index(each.verdict))
+    problem = explanation.problem
+    setup = (explanation.change or problem.before).change(problem.setup)
+    misfit = replayer.misfit(setup, problem.pieces)
+    return explanation, float(misfit.sum())
+
+
+def _policy_side(
+    logs: Sequence[Log], model: mujoco.MjModel, mapped: LogMap, policy: Path | None
+) -> tuple[str, ...]:
+    """Return in what observation and action differ from state and command, a sentence each."""
+    home = home_pose(model, logs[-1], mapped.control)
+    run = load_policy(policy) if policy else None
+    found = [*check_policy(logs[-1], mapped, home, run)]
+    if len(logs) > 1 and not found:
+        found = [*compare_commands(*logs)]
+    return tuple(found)
 
 
 def _line(
@@ -201,7 +228,7 @@ def _named(
     explanation: Explanation, alone: Sequence[Explained], together: Sequence[Explained]
 ) -> Sequence[Explained]:
     """Return the causes that a verdict is about."""
-    if explanation.verdict in (ReplayVerdict.NOISE, ReplayVerdict.NOTHING):
+    if not explanation.change or explanation.verdict is ReplayVerdict.NOTHING:
         return []
     is_together = explanation.change is explanation.several
     return together if is_together else alone[:1]
@@ -330,10 +357,12 @@ def _text(cause: Cause, label: str, values: Sequence[Value], step_s: float) -> s
     return f"{name}: {', '.join(texts)}{unit}"
 
 
-def _sentence(line: ExplanationLine) -> str:
+def _sentence(line: ExplanationLine, explanation: Explanation) -> str:
     """Return the answer: mistakes of the log, what is missing in the model, and what is left."""
     parts = [f"The log is wrong: {text}." for text in line.mistakes]
-    return " ".join([*parts, *line.policy, *_physics(line)])
+    is_read = explanation.verdict is not ReplayVerdict.LOG
+    physics = _physics(line) if is_read else ()
+    return " ".join([*parts, *line.policy, *physics])
 
 
 def _physics(line: ExplanationLine) -> Iterator[str]:

@@ -10,7 +10,7 @@ from itertools import product
 import numpy as np
 from scipy.stats import wilcoxon
 
-from gauge_envs.tools.replay.causes import Cause, ParameterGroup, groups_of_one
+from gauge_envs.tools.replay.causes import Cause, ParameterGroup, groups_of
 from gauge_envs.tools.replay.fit import (
     NO_NUMBERS,
     THRESHOLDS,
@@ -55,7 +55,7 @@ def try_cause(problem: Problem, cause: Cause, base: Fit) -> list[Fit]:
         row, reach = 0, np.zeros(1)
         return [fit(group, 0.0, change(group, NO_NUMBERS), base.slopes[..., :0])]
     grid = np.sort(cause.starts or (0.0, THRESHOLDS.slope_step))
-    singles = groups_of_one(len(cause.parameters))
+    singles = groups_of(len(cause.parameters))
     moved = np.zeros((len(grid), *screened.shape, len(singles)))
     for row in np.flatnonzero(grid).tolist():
         for column, group in enumerate(singles):
@@ -142,18 +142,18 @@ class Explanation:
     several: Fit | None = None
 
 
-def _find_indistinguishable(problem: Problem, fits: Sequence[Fit]) -> list[str]:
-    """Return the causes that the held-out pieces cannot tell from the first one (signed ranks, 5 %)."""
+def _find_equal(problem: Problem, fits: Sequence[Fit]) -> list[str]:
+    """Return the first cause, and those that the held-out pieces cannot tell from it (signed ranks, 5 %)."""
     best, *others = fits
     small = 1e-3 * (problem.before.error - problem.floor)
-    names = []
+    names = [best.label]
     for fit in others:
         gap = np.mean(fit.held_out**2 - best.held_out**2, axis=1)
         if problem.share(fit) <= 0.5 * problem.share(best):
             continue
         is_equal = np.abs(gap).max() < small
         if is_equal or wilcoxon(gap, alternative="greater").pvalue > 0.05:
-            names.append(" and ".join(fit.names))
+            names.append(fit.label)
     return names
 
 
@@ -266,7 +266,7 @@ def explain(
         clean = Problem(replayer, problem.setup, floor=problem.floor)
         return explain(clean, causes, advance)
     alone = _few_by_cause(problem, fits, 1)
-    names = _find_indistinguishable(problem, alone)
+    names = _find_equal(problem, alone)
     bases = [*alone]
     judge, alone[0] = problem.lengthened(alone[0])
     alone = judge.judged(alone, names)
@@ -279,16 +279,20 @@ def explain(
         advance("several together")
         together = _fit_pairs(problem, bases, _second_causes(problem, screened))
         together = _few_by_cause(problem, together, 1)
-        pairs = _find_indistinguishable(problem, together)
+        pairs = _find_equal(problem, together)
         judge, together[0] = problem.lengthened(together[0])
         together = judge.judged(together, pairs)
-        alone = judge.judged(alone, ())
+        alone = judge.judged(alone, [alone[0].label])
         several = _prefer_losses(judge, together)
     verdict, change = _verdict(judge, alone, several)
-    if verdict is ReplayVerdict.SEVERAL:
-        names = judge.still_equal(together, pairs)
+    if change is several:
+        is_claim = verdict is ReplayVerdict.SEVERAL
+        names = judge.still_equal(together, pairs) if is_claim else []
+        names = [name for name in names if name != change.label]
     fitted = change
-    if verdict is not ReplayVerdict.NOTHING:
+    if verdict is ReplayVerdict.NOTHING:
+        names = []
+    else:
         fitted = fit_values(change, [judge.for_values(change)])
     if change is several:
         several = fitted

@@ -1,13 +1,14 @@
 """Constants of servos are fitted to logs, and models are judged by logs that no fit has seen."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import yaml
 from planted_arm import ARM, SERVO, record
 
-from gauge_envs.errors import ParameterError
+from gauge_envs.errors import FileError, ParameterError
 from gauge_envs.tools.replay.constants import fit_logs, parameter_dict
 from gauge_envs.tools.replay.judge import judge_models
 from gauge_envs.tools.replay.log import LogMap
@@ -75,6 +76,23 @@ def test_constants_are_a_parameter_dict_of_mujoco(tmp_path):
     sysid = pytest.importorskip("mujoco.sysid._src.parameter")
     read = sysid.ParameterDict.load_from_disk(file)
     assert read.as_vector() == pytest.approx([2e-5, 4.0])
+
+
+def test_a_parameter_dict_is_read_as_a_model(servo, tmp_path):
+    """The constants that were planted, but the delay, in a file of `mujoco.sysid`."""
+    (log, model), _ = servo
+    planted = {"kp": 12.0, "armature": 0.024, "damping": 0.6}
+    values = [
+        Value(f"{name} of joint", None, value, None, None, changes=True)
+        for name, value in planted.items()
+    ]
+    file, other = tmp_path / "constants.yaml", tmp_path / "other.yaml"
+    file.write_bytes(parameter_dict(values))
+    lines = judge_models([log], [model, file], LogMap())
+    assert [line.better for line in lines] == ["nominal", "yes"] * 2
+    other.write_bytes(parameter_dict([replace(values[0], parameter="kp of hip")]))
+    with pytest.raises(FileError, match="kp of hip: no constant of the model"):
+        judge_models([log], [model, other], LogMap())
 
 
 def test_a_model_is_not_better_than_itself(servo):

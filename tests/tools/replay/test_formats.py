@@ -170,7 +170,7 @@ def test_a_table_with_other_names_is_read_by_the_map(tmp_path):
     is_the_motion(log)
     assert log.command_kind == "target"
     assert "times are in ns: they are converted" in log.mistakes
-    with pytest.raises(GaugeError, match=r"columns.time.*no such column: rosbag"):
+    with pytest.raises(GaugeError, match=r"time: no such column .*has rosbag"):
         read_log(file, mapped=LogMap(columns={"time": "stamp"}))
 
 
