@@ -7,9 +7,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from gauge_envs.errors import ShapeError
+from gauge_envs.errors import ReferenceFileError, ShapeError
 from gauge_envs.experiments.experiment import Experiment
-from gauge_envs.references.band import Band, recorded_events
+from gauge_envs.names import nearest
+from gauge_envs.references.band import (
+    Band,
+    RecordedEvent,
+    band_file,
+    recorded_events,
+)
 from gauge_envs.references.kind import Kind
 from gauge_envs.references.metrics import METRICS
 from gauge_envs.scene.geometry import FloatArray
@@ -167,13 +173,31 @@ def _recorded_events(
     of_trial = () if band is None else band.events
     return {
         event.name: ComparedQuantity(
-            value=_or_none(EVENTS[event.name](replace(motion, markers=event.markers))),
+            value=_or_none(_event_value(experiment.name, event, motion)),
             unit=event.unit,
             real=event.value,
             real_uncertainty=event.standard_uncertainty,
         )
         for event in (*recorded_events(experiment.name), *of_trial)
     }
+
+
+def _event_value(variant: str, event: RecordedEvent, motion: SampledMotion) -> float:
+    """Return the value of an event in a motion.
+
+    Raises:
+        ReferenceFileError: The file of the reference names an unknown event, or one that the scene cannot have.
+    """
+    file, place = band_file(variant) or variant, f"events.{event.name}"
+    if event.name not in EVENTS:
+        raise ReferenceFileError(
+            file, place, f"no event has this name; {nearest(event.name, EVENTS)}"
+        )
+    try:
+        return EVENTS[event.name](replace(motion, markers=event.markers))
+    except Exception as cause:
+        reason = f"{variant} has not the bodies, markers or motion of this event"
+        raise ReferenceFileError(file, place, reason) from cause
 
 
 def _or_none(value: float) -> float | None:

@@ -172,14 +172,14 @@ def run(variant: Variant, backend: str, **changes: Any) -> str:
 def of_size(folder: Path, length_m: float, width_m: float) -> Variant:
     """Return satin of a copy of the task with another overhang and width."""
     text = task_path("StripBending").read_text(encoding="utf-8")
-    heights_m = [0.09875 - length_m * part / 6.0 for part in range(1, 7)]
+    heights_m = [-0.00125 - length_m * part / 6.0 for part in range(1, 7)]
     markers = ", ".join(f"[0.0, 0.0, {height:.9g}]" for height in heights_m)
     text = re.sub(r"(positions_m = \[)[^a-z]*\n\]", rf"\1{markers}]", text)
     name = f"{1e3 * length_m:.0f}x{1e3 * width_m:.0f}"
     for old, new in (
         ('"StripBending"', f'"StripBending{name}"'),
         ("[0.0325, 0.0025]", f"[{length_m + 0.0025:.9g}, {width_m}]"),
-        ("0.0, 0.085]", f"0.0, {0.1 - 0.5 * length_m:.9g}]"),
+        ("0.0, -0.015]", f"0.0, {-0.5 * length_m:.9g}]"),
     ):
         text = text.replace(old, new)
     file = folder / f"strip{name}.toml"

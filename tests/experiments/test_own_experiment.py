@@ -30,6 +30,7 @@ from gauge_envs.experiments.variants import (
 from gauge_envs.runs.episodes import run_episode
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result_file import load_result, write_result
+from gauge_envs.scoring.recorded_events import EVENTS
 
 EXAMPLE = ROOT / "examples" / "own_experiment"
 NAME = "CrateSlide-pine"
@@ -108,6 +109,34 @@ def test_a_damaged_band_is_named_with_its_trial_and_frame(example):
         os.utime(example / f"{NAME}.band.toml")
         with pytest.raises(ReferenceFileError, match=rf"{file.name}: .*{text}"):
             reference_band(load_experiment("crate.toml"))
+
+
+def test_an_event_that_is_unknown_or_does_not_fit_is_named(example):
+    """A crate has no ball, joint, marker or driver. Unknown names are each known one without an end or a beginning."""
+    env = GaugeEnv("crate.toml")
+    run_to_end(env)
+    file = example / f"{NAME}.band.toml"
+    band = file.read_text()
+    known = {"slide_acceleration_m_per_s2"}
+    unfit = (
+        "cloth_lag_deg",
+        "foot_lag_mm",
+        "restitution",
+        "strain_zz",
+        "turning_ratio",
+    )
+    facts = 'unit = "1"\nvalue = 1.0\nstandard_uncertainty = 1.0\nsource = ""'
+    wrong = [name for event in EVENTS for name in (event[:-1], event[2:])]
+    for time_ns, name in enumerate((*wrong, *unfit, *known)):
+        file.write_text(f'{band}\n[[events]]\nname = "{name}"\n{facts}\n')
+        os.utime(file, ns=(0, time_ns))
+        if name in known:
+            assert set(env.score().events) == known
+            continue
+        reason = "has not" if name in EVENTS else "no event .*; did you mean"
+        place = rf"{file.name}: events\.{name}: "
+        with pytest.raises(ReferenceFileError, match=f"{place}.*{reason}"):
+            env.score()
 
 
 def test_a_restitution_without_effect_is_named(example, gauge):

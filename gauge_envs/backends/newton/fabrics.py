@@ -25,8 +25,9 @@ def vbd_constants(fabric: Fabric) -> FabricConstants:
     - `edge_ke_times_mean_edge_length` = K_theta [N m/rad]; `edge_ke` is this over the mesh's mean rest edge length.
 
     lambda is positive and finite only for 2 < K_s / K_sh < 4; otherwise K_s / 2.7 replaces K_sh. This fallback keeps
-    the stretch stiffness but not the shear stiffness. The stiffness of a hinge is proportional to its edge length. A
-    square grid with diagonals therefore has 3 / (2 + sqrt 2) = 0.88 of the intended bending stiffness along grid lines.
+    the stretch stiffness but not the shear stiffness. The stiffness of a hinge is proportional to its edge length. On a
+    square grid with diagonals the paper's mean edge length gives 3 / (2 + sqrt 2) = 0.88 of the bending stiffness along
+    grid lines, so the backend divides by the cell's edge instead.
 
     The membrane has the uniaxial stiffness 4 mu (lambda + mu) / (lambda + 2 mu) and the shear stiffness mu.
 

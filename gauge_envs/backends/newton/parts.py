@@ -9,6 +9,7 @@ than the softest of its soft row is therefore a rigid body, to which the elastic
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -35,6 +36,7 @@ from gauge_envs.backends.shared.soft_rows import (
     grid_lines_m,
     lame_constants,
 )
+from gauge_envs.errors import ParameterError
 from gauge_envs.scene import Box, Cloth, Motion
 from gauge_envs.scene.fabrics import Fabric
 from gauge_envs.scene.geometry import FloatArray, IntArray, vector
@@ -212,6 +214,10 @@ class SoftRowPart(ParticlePart):
 # --- cloth -----------------------------------------------------------------------------------------------------------
 
 
+HINGE_M = 1e-3
+"""Edge of a square cell whose hinges have no stiffness in Newton: its normals are shorter than 1e-6 m^2."""
+
+
 class ClothPartNewton(ParticlePart):
     """A cloth among the particles of a model, whose nodes are the vertices of its mesh.
 
@@ -245,8 +251,9 @@ def add_cloth(
 ) -> ClothPartNewton:
     """Add a cloth to a model builder; `SurfaceContacts` determines its contacts.
 
-    `vbd_constants` gives its constants. Attached vertices have no mass and are placed on their body. They are exact in
-    single precision: 0.06 micrometres within 1 m of the origin.
+    `vbd_constants` gives its constants. A hinge of length l between strips of width h stores edge_ke l theta^2 / 2, and
+    the fabric B h l (theta / h)^2 / 2, so `edge_ke` is B / h. Attached vertices have no mass and are placed on their
+    body. They are exact in single precision: 0.06 micrometres within 1 m of the origin.
 
     Args:
         builder: Model builder that contains the rigid bodies.
@@ -257,6 +264,12 @@ def add_cloth(
     """
     grid = ClothGrid(cloth, settings.cell_m or CLOTH_CELL_M)
     attached = attached_vertices(grid, cloth, attachments)
+    spacing_m = math.sqrt(math.prod(grid.cell_m))
+    if spacing_m <= HINGE_M:
+        raise ParameterError(
+            f"Newton's hinges have no stiffness in the cells of {1e3 * spacing_m:.4g} mm of {cloth.name!r}: choose a "
+            f"cell_m above {1e3 * HINGE_M:g} mm"
+        )
     constants = vbd_constants(Fabric.of(cloth)).constants
     start, first_edge = len(builder.particle_q), len(builder.edge_indices)
     builder.add_cloth_mesh(
@@ -270,7 +283,7 @@ def add_cloth(
         tri_ke=constants["tri_ke"],
         tri_ka=constants["tri_ka"],
         tri_kd=settings.stretch_damping_n_s_per_m,
-        edge_ke=constants["edge_ke_times_mean_edge_length"] / grid.mean_edge_length_m(),
+        edge_ke=constants["edge_ke_times_mean_edge_length"] / spacing_m,
         edge_kd=settings.bend_damping_n_s,
         particle_radius=0.5 * cloth.thickness_m,
         label=cloth.name,

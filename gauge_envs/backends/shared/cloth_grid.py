@@ -111,12 +111,6 @@ class ClothGrid:
         is_line &= np.isin(opposite, vertices).sum(axis=1) == 1
         return np.where(is_line, 2.0, 1.0)
 
-    def mean_edge_length_m(self) -> float:
-        """Return the mean length of the edges [m]; each edge counts once."""
-        edges = np.sort(self.triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
-        ends = self.plane_m[np.unique(edges, axis=0)]
-        return float(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1).mean())
-
 
 def attached_vertices(
     grid: ClothGrid, cloth: Cloth, attachments: Sequence[RigidAttachment]
