@@ -69,6 +69,9 @@ class Ending(StrEnum):
 FAILED = (Ending.MISSED, Ending.LOST, Ending.DIVERGED)
 """Endings of episodes without a result."""
 
+SUCCESSFUL = (Ending.HELD, Ending.REACHED)
+"""Endings of episodes that solve the task."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Limit:
@@ -100,12 +103,19 @@ class LimitReport:
         reached: Value that the policy reached, in the limit's unit; 0 if the episode failed.
         ending: How the episode ended.
         time_s: Time of the ending [s].
+        return_limit: Largest sum of rewards that the law allows.
     """
 
     limit: Limit
     reached: float
     ending: Ending
     time_s: float
+    return_limit: float
+
+    @property
+    def is_success(self) -> bool:
+        """Whether the episode ended at the goal, or at the last frame without a slip."""
+        return self.ending in SUCCESSFUL
 
     @property
     def ratio(self) -> float:
@@ -311,6 +321,10 @@ class ControlTask(GuardedEnv, ABC):
     def _reached(self, world: int) -> float:
         """Return the value that the policy reached in a successful episode, in the unit of the limit."""
 
+    def return_limit(self, world: int = 0) -> float:
+        """Return the largest sum of rewards that the law allows in an episode."""
+        return 1.0
+
     @abstractmethod
     def _law_command(self, fraction: float, world: int) -> float | FloatArray:
         """Return the action of `law_action` before it is clipped to [-1, 1]."""
@@ -430,7 +444,9 @@ class ControlTask(GuardedEnv, ABC):
         if world in self.rollout.diverged:
             info["diverged"] = self.rollout.diverged[world]
         if self.endings[world] is not None:
-            info["limit"] = self.report(world)
+            info["limit"] = report = self.report(world)
+            info["success"] = report.is_success
+            info["return_limit"] = report.return_limit
         return info
 
     def limit(self, world: int = 0) -> Limit:
@@ -452,6 +468,7 @@ class ControlTask(GuardedEnv, ABC):
             reached=0.0 if ending in FAILED else self._reached(world),
             ending=ending,
             time_s=float(self.rollout.times_s[world]),
+            return_limit=self.return_limit(world),
         )
 
 
@@ -475,7 +492,8 @@ class ControlEnv(GuardedEnv, gymnasium.Env[FloatArray, NDArray[np.float32]]):
     """One world of a control task; see `ControlTask` for steps and actions.
 
     `info`: `frame`, `time_s`, and `diverged` (the reason) if the simulation diverged. The last step of an episode adds
-    `limit`, a `LimitReport` of the policy's result and the law's limit.
+    `limit`, a `LimitReport` of the policy's result and the law's limit; `success`, whether the episode solved the task;
+    and `return_limit`, the largest sum of rewards that the law allows.
 
     Args:
         family: Name of the task without its material, as `Throw`.
