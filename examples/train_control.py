@@ -71,12 +71,15 @@ class Worlds(VecEnv):
         super().__init__(envs.num_envs, envs.single_observation_space, envs.single_action_space)
 
     def reset(self) -> Any:
+        """Start an episode in all worlds."""
         return self._envs.reset(seed=self._seeds)[0]
 
     def step_async(self, actions: Any) -> None:
+        """Keep the actions of the next step."""
         self._actions = actions
 
     def step_wait(self) -> Any:
+        """Step all worlds; those that end restart, and their last observations are in the infos."""
         observations, rewards, terminated, truncated, infos = self._envs.step(self._actions)
         rows: list[dict[str, Any]] = [{} for _ in rewards]
         for world in np.flatnonzero(terminated | truncated):
@@ -87,18 +90,23 @@ class Worlds(VecEnv):
         return observations, rewards, terminated | truncated, rows
 
     def close(self) -> None:
+        """Close the worlds."""
         self._envs.close()
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
+        """Return an attribute that all worlds share."""
         return [getattr(self._envs, attr_name)] * self.num_envs
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
+        """Refuse: the worlds are one environment."""
         raise NotImplementedError
 
     def env_method(self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any) -> list[Any]:
+        """Refuse: the worlds are one environment."""
         raise NotImplementedError
 
     def env_is_wrapped(self, wrapper_class: Any, indices: Any = None) -> list[bool]:
+        """Return that no world has a wrapper of its own."""
         return [False] * self.num_envs
 
 
