@@ -5,6 +5,7 @@ hooks of an episode in the order in which `start` and `step` call them; and the 
 world of a task, and `ControlVectorEnv` is N.
 """
 
+import functools
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
@@ -16,7 +17,7 @@ import gymnasium
 import numpy as np
 from gymnasium import spaces
 from gymnasium.envs import registration
-from gymnasium.vector import AutoresetMode
+from gymnasium.vector import AutoresetMode, VectorEnv
 from numpy.typing import NDArray
 
 from gauge_envs.envs.arguments import (
@@ -398,7 +399,7 @@ class ControlTask(GuardedEnv, ABC):
             self.endings[world], rewards[world] = Ending.DIVERGED, 0.0
         terminated = np.array([ending is not None for ending in self.endings])
         truncated = self.rollout.is_complete & ~terminated
-        for world in np.flatnonzero(truncated).tolist():
+        for world in truncated.nonzero()[0].tolist():
             self.endings[world] = self.TIME_LIMIT_ENDING
         return rewards, terminated, truncated
 
@@ -412,9 +413,9 @@ class ControlTask(GuardedEnv, ABC):
             Index of a value at the sample that each world shows, in arrays of shape [6, N, ...]: the last sample of the
             frame, or that of the ending.
         """
-        any_end = np.logical_or.reduce([*ends.values()])
+        any_end = functools.reduce(np.logical_or, ends.values())
         last = np.full(self.world_count, SAMPLES_PER_FRAME - 1)
-        for world in np.flatnonzero(any_end.any(axis=0)).tolist():
+        for world in any_end.any(axis=0).nonzero()[0].tolist():
             last[world] = sample = int(any_end[:, world].argmax())
             self.endings[world] = next(
                 ending for ending, masks in ends.items() if masks[sample, world]
@@ -436,7 +437,11 @@ class ControlTask(GuardedEnv, ABC):
 
     def observation(self) -> FloatArray:
         """Return the observations, shape [N, len(OBSERVED)]."""
-        return np.column_stack(self._observed())
+        columns = [
+            column if column.ndim > 1 else column[:, None]
+            for column in self._observed()
+        ]
+        return np.concatenate(columns, axis=1)
 
     def info(self, world: int) -> dict[str, Any]:
         """Return the `info` of a world without frame and time, see `ControlEnv`."""
@@ -639,7 +644,7 @@ class ControlEnv(GuardedEnv, gymnasium.Env[FloatArray, NDArray[np.float32]]):
         self.rollout.simulation.close()
 
 
-class ControlVectorEnv(WorldsEnv):
+class ControlVectorEnv(WorldsEnv, VectorEnv[Any, Any, NDArray[Any]]):
     """Worlds of a control task; `gymnasium.make_vec` makes it. Each behaves as a `ControlEnv`.
 
     Args:
