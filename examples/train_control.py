@@ -52,7 +52,7 @@ SETTINGS: Mapping[str, Mapping[str, Any]] = {
 The other tasks train with the preset `training`.
 """
 
-WORLDS: Mapping[str, int] = {"Carry": 32, "Push": 32}
+WORLDS: Mapping[str, int] = {"Carry": 32}
 """Number of worlds of a training, 16 for the other tasks. A batch has eight steps of each."""
 
 STARTS = 10
@@ -64,7 +64,7 @@ FIRST_NOISE: Mapping[str, float] = {"Carry": 0.22, "Push": 0.22, "Turntable": 0.
 More would hide an arrival within 20 mm/s or cause a slip; less would not find the ball.
 """
 
-LEARNING_RATE: Mapping[str, float] = {"Carry": 1e-3, "Push": 1e-3}
+LEARNING_RATE: Mapping[str, float] = {"Carry": 1e-3}
 """First learning rate, 0.002 for the other tasks."""
 
 
