@@ -40,7 +40,8 @@ DISCOUNTS: Mapping[str, tuple[float, float]] = {
 }
 """Discounts of rewards and of advantages in a step of 1/30 s, in place of PPO's defaults 0.99 and 0.95.
 
-An arrival is 13 to 52 steps away, and a slip costs the rewards of 30 steps. A cloth swings highest after 80 steps, and a discount would prefer a swing in 40.
+An arrival is 13 to 52 steps away, and a slip costs the rewards of 30 steps. A cloth swings highest after 80 steps, and
+a discount would prefer a swing in 40.
 """
 
 SETTINGS: Mapping[str, Mapping[str, Any]] = {

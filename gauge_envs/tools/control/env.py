@@ -399,7 +399,7 @@ class ControlTask(GuardedEnv, ABC):
             self.endings[world], rewards[world] = Ending.DIVERGED, 0.0
         terminated = np.array([ending is not None for ending in self.endings])
         truncated = self.rollout.is_complete & ~terminated
-        for world in truncated.nonzero()[0].tolist():
+        for world in np.flatnonzero(truncated).tolist():
             self.endings[world] = self.TIME_LIMIT_ENDING
         return rewards, terminated, truncated
 
@@ -415,7 +415,7 @@ class ControlTask(GuardedEnv, ABC):
         """
         any_end = functools.reduce(np.logical_or, ends.values())
         last = np.full(self.world_count, SAMPLES_PER_FRAME - 1)
-        for world in any_end.any(axis=0).nonzero()[0].tolist():
+        for world in np.flatnonzero(any_end.any(axis=0)).tolist():
             last[world] = sample = int(any_end[:, world].argmax())
             self.endings[world] = next(
                 ending for ending, masks in ends.items() if masks[sample, world]
