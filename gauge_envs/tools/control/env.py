@@ -71,7 +71,7 @@ FAILED = (Ending.MISSED, Ending.LOST, Ending.DIVERGED)
 """Endings of episodes without a result."""
 
 SUCCESSFUL = (Ending.HELD, Ending.REACHED)
-"""Endings of episodes that solve the task."""
+"""Endings at the goal, or at the last frame without a slip."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -497,8 +497,8 @@ class ControlEnv(GuardedEnv, gymnasium.Env[FloatArray, NDArray[np.float32]]):
     """One world of a control task; see `ControlTask` for steps and actions.
 
     `info`: `frame`, `time_s`, and `diverged` (the reason) if the simulation diverged. The last step of an episode adds
-    `limit`, a `LimitReport` of the policy's result and the law's limit; `success`, whether the episode solved the task;
-    and `return_limit`, the largest sum of rewards that the law allows.
+    `limit`, a `LimitReport` of the policy's result and the law's limit; `success`, whether it ended at its goal or
+    without a slip; and `return_limit`, the largest sum of rewards that the law allows.
 
     Args:
         family: Name of the task without its material, as `Throw`.
