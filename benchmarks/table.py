@@ -122,7 +122,7 @@ def startup() -> Iterator[Row]:
     import_s = child_s("-c", "import gauge_envs")
     yield Row("import gauge_envs / import gymnasium", import_s / gymnasium_s, 1.3)
     list_s = child_s("-m", "gauge_envs", "list")
-    yield Row("gauge list / import gymnasium", list_s / gymnasium_s, 3.5)
+    yield Row("gauge list / import gymnasium", list_s / gymnasium_s, 2.0)
     cheetah, slide = (
         f"import gymnasium, gauge_envs; gymnasium.make({name!r})"
         for name in ("HalfCheetah-v5", "GAUGE/SlopeSlider-2-wood")

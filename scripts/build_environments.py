@@ -1,4 +1,4 @@
-"""Write a page for each family of experiments, `docs/environments/`, and draw the picture of each.
+"""Write a page for each family of experiments, `docs/environments/`, draw its picture, and write `gauge list`.
 
 Pages need no engine. To draw a picture anew, delete it first.
 """
@@ -18,14 +18,16 @@ import numpy as np
 from gymnasium import spaces
 from PIL import Image
 
-from gauge_envs import find_variant
+from gauge_envs import find_variant, variants
 from gauge_envs.envs.env import GaugeEnv
 from gauge_envs.experiments.experiment import Experiment
+from gauge_envs.experiments.task_files import task_spec
 from gauge_envs.pages.markdown import as_markdown
 from gauge_envs.references.band import Band
 from gauge_envs.references.kind import Kind
 from gauge_envs.rendering.reference_path import reference_path, reference_words
 from gauge_envs.scene.timing import FRAME_RATE_HZ
+from gauge_envs.scoring.reference import reference_kind
 from scripts.environment_page import (
     READING,
     Members,
@@ -37,6 +39,7 @@ from scripts.generated import ROOT, markdown_table, page_part
 SCRIPT = f"scripts/{Path(__file__).name}"
 PAGES = ROOT / "docs" / "environments"
 PICTURES = ROOT / "docs" / "images" / "environments"
+FAMILIES = ROOT / "gauge_envs" / "tools" / "catalog" / "families.json"
 CAPTIONS = PICTURES / "captions.json"
 
 INTRODUCTION = """
@@ -241,6 +244,7 @@ def contents() -> dict[Path, str]:
     families = described_families()
     shown = captions()
     pages = {PAGES / "index.md": enclosed(index_text(families))}
+    pages[FAMILIES] = family_rows()
     script = "scripts/build_environments.py"
     pages |= page_part(ROOT / "README.md", "experiments", script, grid_text())
     for family, members in families.items():
@@ -249,6 +253,19 @@ def contents() -> dict[Path, str]:
         document = family_document(family, members, picture=picture, caption=caption)
         pages[PAGES / f"{family}.md"] = enclosed(as_markdown(document))
     return pages
+
+
+def family_rows() -> str:
+    """Return name, kinds of the references and evaluated quantities of each family of the benchmark, in JSON."""
+    kinds: dict[str, Counter[str]] = {}
+    for variant in variants():
+        kind = reference_kind(variant.name).value
+        kinds.setdefault(variant.family, Counter())[kind] += 1
+    rows = []
+    for family, counts in kinds.items():
+        by_kind = ", ".join(f"{count} {kind}" for kind, count in counts.items())
+        rows.append((family, by_kind, ", ".join(task_spec(family).evaluates)))
+    return json.dumps(rows, indent=0) + "\n"
 
 
 def picture_table(cells: Sequence[str], columns: int) -> Sequence[str]:

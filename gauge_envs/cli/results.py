@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -26,7 +26,11 @@ if TYPE_CHECKING:
 
 
 def loaded_results(
-    sources: Sequence[str] | None, *, with_scene: bool = False, corrected: bool = True
+    sources: Sequence[str] | None,
+    *,
+    with_scene: bool = False,
+    corrected: bool = True,
+    keep: Callable[[Result], Result] = lambda result: result,
 ) -> tuple[dict[Path, Result], int]:
     """Return the results of files and folders by file, each file once, and the number of skipped files.
 
@@ -34,6 +38,7 @@ def loaded_results(
         sources: Files and folders; None for `results/`.
         with_scene: Whether to skip also results whose scene cannot be built again.
         corrected: Whether to include results with physics that this package corrects.
+        keep: Function that returns what to keep of a result in memory.
     """
     from gauge_envs.runs.configuration import RunConfiguration
     from gauge_envs.runs.result_file import load_result, recorded_experiment
@@ -60,7 +65,7 @@ def loaded_results(
         if not corrected and RunConfiguration.of(result).physics == "corrected":
             corrected_count += 1
         else:
-            results[file] = result
+            results[file] = keep(result)
     if corrected_count:
         text = counted(corrected_count, "result")
         message(f"{text} with corrections by this package", "left out")

@@ -60,6 +60,8 @@ Step = tuple[
 class WorldsEnv(GuardedEnv, VectorEnv[Any, Any, NDArray[Any]], ABC):
     """Worlds that advance together, and whose episodes start and end on their own; base of the vector environments.
 
+    A subclass also names `VectorEnv` as its base, by which skrl recognizes it.
+
     Spaces, rewards and `infos` have the form of `gymnasium.vector.SyncVectorEnv`, with its three autoreset modes:
 
     - `NEXT_STEP`: the step after the end of a world's episode ignores its action and starts its next episode.
@@ -205,7 +207,7 @@ class WorldsEnv(GuardedEnv, VectorEnv[Any, Any, NDArray[Any]], ABC):
         # If all worlds have ended, nothing is left to simulate.
         if running.any():
             rewards, terminated, truncated = self._advance(
-                self._checked(actions, np.flatnonzero(running).tolist())
+                self._checked(actions, running)
             )
             rewards[ended], terminated[ended], truncated[ended] = 0.0, False, False
         self._over = terminated | truncated
@@ -235,19 +237,20 @@ class WorldsEnv(GuardedEnv, VectorEnv[Any, Any, NDArray[Any]], ABC):
             "_final_info": over.copy(),
         }
 
-    def _checked(self, actions: Any, running: Sequence[int]) -> FloatArray:
+    def _checked(self, actions: Any, running: BoolArray) -> FloatArray:
         """Return the actions of all worlds, shape [num_envs, action_size]; 0 for worlds that have ended."""
         count = len(actions) if hasattr(actions, "__len__") else 0
         if count != self.num_envs:
             raise ActionError(
                 f"{self._name}: actions {actions!r}: expected one action for each of {self.num_envs} worlds"
             )
-        checked = np.zeros((self.num_envs, *(self.single_action_space.shape or (0,))))
+        shape = self.num_envs, *(self.single_action_space.shape or (0,))
         if isinstance(actions, np.ndarray) and actions in self.action_space:
-            if checked.size:
-                checked[running] = actions[running]
-            return checked
-        for world in running:
+            if not shape[1]:
+                return np.zeros(shape)
+            return np.where(running[:, None], actions, 0.0).astype(np.float64)
+        checked = np.zeros(shape)
+        for world in np.flatnonzero(running).tolist():
             checked[world] = checked_action(
                 actions[world], self.single_action_space, self._name
             )
@@ -310,7 +313,7 @@ class WorldsEnv(GuardedEnv, VectorEnv[Any, Any, NDArray[Any]], ABC):
             raise EpisodeError(f"{self._name}: call reset before {call}")
 
 
-class GaugeVectorEnv(WorldsEnv):
+class GaugeVectorEnv(WorldsEnv, VectorEnv[Any, Any, NDArray[Any]]):
     """Worlds of one experiment on one backend, which may simulate them in a batch.
 
     Each world behaves as a `GaugeEnv`; see `WorldsEnv` for the three autoreset modes. Worlds differ in their actions,

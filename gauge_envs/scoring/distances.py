@@ -191,8 +191,8 @@ def _aligned(score: Score, motion: ComparedMotion) -> Score:
 def _from_exact(score: Score, motion: ComparedMotion) -> Score:
     """Return a score with the distance from the exact motion, and the cause of the distance from real trials."""
     experiment, band, frames = motion.experiment, motion.band, motion.frames
-    places = exact_motion(experiment, np.arange(len(frames)) / FRAME_RATE_HZ)
-    samples = exact_motion(experiment, motion.times_s)
+    places = exact_motion(experiment, np.arange(len(frames)) / FRAME_RATE_HZ, band)
+    samples = exact_motion(experiment, motion.times_s, band)
     if places is None or samples is None:
         return score
     exact = band.project(places)
@@ -243,7 +243,7 @@ def _distance_from_exact(
 
     def shifted_rmse(offset_s: FloatArray) -> FloatArray:
         queries_s = times_s[is_compared] - offset_s[..., None]
-        exact = exact_motion(experiment, queries_s.ravel())
+        exact = exact_motion(experiment, queries_s.ravel(), band)
         assert exact is not None, "the experiment has an exact motion"
         projected = band.project(exact).reshape(*queries_s.shape, -1)
         return rms_deviation(projected - frames[is_compared])

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator
 import numpy as np
 
 from gauge_envs.experiments.experiment import Experiment
-from gauge_envs.references.band import ExactLaw
+from gauge_envs.references.band import Band, ExactLaw
 from gauge_envs.scene import Box, Contact, Motion, Plane, RigidBody, Scene, Sphere
 from gauge_envs.scene.geometry import FloatArray, length_of
 from gauge_envs.scoring.reference import reference_band
@@ -32,7 +32,9 @@ Law = Callable[[Scene, RigidBody, FloatArray], FloatArray | None]
 TINY = np.finfo(float).tiny
 
 
-def exact_motion(experiment: Experiment, times_s: FloatArray) -> FloatArray | None:
+def exact_motion(
+    experiment: Experiment, times_s: FloatArray, band: Band | None = None
+) -> FloatArray | None:
     """Return g(t) of the exact solution of a scene, shape [S, D]; None without a closed form.
 
     A scene outside the limits of its law has none: another body, a sliding body with a start velocity, or a start
@@ -41,8 +43,9 @@ def exact_motion(experiment: Experiment, times_s: FloatArray) -> FloatArray | No
     Args:
         experiment: Experiment with any constants and start.
         times_s: Any times since the release [s], shape [S]. Before 0 the body rests.
+        band: Reference of the experiment; None reads it.
     """
-    band = reference_band(experiment)
+    band = band or reference_band(experiment)
     is_replaced = experiment.edited and experiment.model_file is not None
     if band is None or band.exact_law is None or is_replaced:
         return None

@@ -13,7 +13,7 @@ from gauge_envs.references.published import published_baselines
 from gauge_envs.runs.episodes import run_episode
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.scene import GRAVITY_M_PER_S2, Scene
-from gauge_envs.scene.states import nominal_states
+from gauge_envs.scene.states import nominal_states, row_of
 
 pytest.importorskip("newton")
 
@@ -106,6 +106,30 @@ def test_contact_forces_belong_to_each_world():
     forces_n = read()
     assert forces_n[0, :, 2] == pytest.approx([weight_n, -weight_n], rel=0.02)
     assert (forces_n[1] == 0.0).all()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["SlopeSlider-2-wood", "BouncingBall-rubber"])
+def test_a_world_does_not_depend_on_size_and_place_of_its_batch(name):
+    """On the CPU the bits are equal; a kernel that adds in another order would move them."""
+    scene = load_experiment(name).scene
+    (body,) = (body.name for body in scene.dynamic_bodies)
+
+    def motion(numbers):
+        states = np.stack([nominal_states(scene)] * len(numbers))
+        states[:, row_of(scene, body), 7] += 0.01 * np.array(numbers)
+        simulation = NEWTON.build_worlds(scene, len(numbers))
+        simulation.reset(states)
+        rows = []
+        for _ in range(60):
+            simulation.advance(1 / 180)
+            rows.append(simulation.body_states([body]).copy())
+        return np.array(rows)
+
+    alone = motion([3])[:, 0]
+    for numbers in ([3, 1], [0, 1, 2, 3, 4], range(9)):
+        assert (motion(numbers)[:, numbers.index(3)] == alone).all()
+    assert np.ptp(alone[:, 0], axis=0)[:3].max() > 0.05
 
 
 # --- settings and support --------------------------------------------------------------------------------------------

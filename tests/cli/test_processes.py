@@ -69,7 +69,7 @@ def test_an_exit_of_an_engine_gives_a_message(gauge, monkeypatch):
         raise SystemExit(0)
 
     monkeypatch.setattr("gauge_envs.tools.catalog.listing.list_rows", exits)
-    result = gauge("list")
+    result = gauge("list", NAME)
     assert result.exit_code == 1
     assert "an engine or a library ended the command" in result.stderr
 
@@ -79,7 +79,7 @@ def test_ctrl_c_ends_a_command_with_one_line(gauge, monkeypatch):
         raise KeyboardInterrupt
 
     monkeypatch.setattr("gauge_envs.tools.catalog.listing.list_rows", interrupted)
-    result = gauge("list")
+    result = gauge("list", NAME)
     assert (result.exit_code, result.stdout) == (130, "")
     assert result.stderr == "interrupted\n"
 

@@ -7,7 +7,7 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium.envs.registration import EnvSpec
-from gymnasium.vector import AutoresetMode, SyncVectorEnv
+from gymnasium.vector import AutoresetMode, SyncVectorEnv, VectorEnv
 from gymnasium.wrappers.vector import RecordEpisodeStatistics
 from opengl import needs_opengl
 
@@ -175,6 +175,14 @@ def test_observations_are_in_the_space_and_stay_after_the_next_step():
     assert rewards.shape == (3,)
     assert np.array_equal(first["observable"], copy)
     assert not np.array_equal(observation["observable"], copy)
+
+
+@pytest.mark.parametrize("name", ["SlopeSlider-2-wood", "Turntable-Limit-wood"])
+def test_vector_env_is_a_direct_base(name):
+    """By its direct bases, skrl recognizes an environment of Gymnasium."""
+    options = {} if "Limit" in name else {"score": False}
+    envs = gymnasium.make_vec(f"GAUGE/{name}", num_envs=2, **options)
+    assert VectorEnv in type(envs).__bases__
 
 
 def test_each_world_takes_its_own_seed():

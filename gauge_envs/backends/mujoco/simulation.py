@@ -349,8 +349,12 @@ class _FreeBody:
 
     def read(self, states: FloatArray) -> None:
         """Write the states of the body to an array, shape [N, 13]."""
-        states[:, :7] = np.concatenate(self._poses).reshape(-1, 7)
-        states[:, 7:10] = np.concatenate(self._rates).reshape(-1, 6)[:, :3]
+        # For one world, the calls of NumPy would take longer than the copy.
+        if len(states) == 1:
+            states[0, :7], states[0, 7:10] = self._poses[0], self._rates[0][:3]
+        else:
+            states[:, :7] = np.concatenate(self._poses).reshape(-1, 7)
+            states[:, 7:10] = np.concatenate(self._rates).reshape(-1, 6)[:, :3]
         rows = zip(states[:, 10:], self._spins, self._quaternions, strict=True)
         for spin, inner, quaternion in rows:
             mujoco.mju_rotVecQuat(spin, inner, quaternion)
@@ -369,9 +373,10 @@ class _DrivenBody(_FreeBody):
 
     def drive(self, targets: FloatArray) -> None:
         """Write the targets of `Simulation.drive`, shape [N, 19]."""
-        rates = targets[:, 7:13].copy()
+        rates = targets[:, 7:13]
         # A body that only translates has no spin to rotate into its frame.
-        if rates[:, 3:].any():
+        if np.count_nonzero(rates[:, 3:]):
+            rates = rates.copy()
             back = targets[:, 3:7] * CONJUGATE
             for inner, spin, quaternion in zip(
                 rates[:, 3:], targets[:, 10:13], back, strict=True

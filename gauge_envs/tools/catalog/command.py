@@ -1,9 +1,13 @@
-"""`gauge list` and `gauge show`."""
+"""`gauge list` and `gauge show`.
+
+The table of families is `families.json`, which `python -m scripts build` writes, so that its list reads no task files.
+"""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -13,6 +17,7 @@ from gauge_envs.cli.commands import listings
 from gauge_envs.cli.output import Format, echo, message, note, print_document
 
 if TYPE_CHECKING:
+    from gauge_envs.experiments.variants import Variant
     from gauge_envs.pages.table import Table
 
 KINDS = listings()
@@ -63,15 +68,11 @@ def list_(
 def _list_experiments(patterns: Sequence[str], scored: bool, form: Format) -> bool:
     """Print the experiments that match patterns, and return whether a task file was skipped."""
     from gauge_envs.experiments.variants import (
-        Variant,
         matching_variants,
         unreadable_task_files,
     )
     from gauge_envs.pages.document import Document, Paragraph
     from gauge_envs.pages.text import counted
-    from gauge_envs.references.kind import Kind
-    from gauge_envs.tools.catalog.listing import list_rows
-    from gauge_envs.tools.catalog.report import family_table, list_table
 
     faults = unreadable_task_files()
     for fault in faults:
@@ -80,18 +81,37 @@ def _list_experiments(patterns: Sequence[str], scored: bool, form: Format) -> bo
     for pattern in patterns or ["*"]:
         variants += matching_variants(pattern)
     is_whole = not patterns and not scored
-    has_families = is_whole and form is Format.TEXT
-    names = () if has_families else None
-    rows = list_rows(dict.fromkeys(variants), names=names, notify=note)
-    if scored:
-        rows = [row for row in rows if row["kind"] != Kind.NONE]
-    table = family_table(rows) if has_families else list_table(rows)
-    lines = [counted(len(rows), "id")]
+    if is_whole and form is Format.TEXT:
+        table, count = _family_table(), len(variants)
+    else:
+        table = _experiment_table(variants, scored)
+        count = len(table.rows)
+    lines = [counted(count, "id")]
     if is_whole:
         lines = [f"{lines[0]}; for the ids of a family: gauge list 'SlopeSlider-*'"]
         lines += _beyond_the_benchmark()
     print_document(Document(parts=[table, *map(Paragraph, lines)]), form)
     return bool(faults)
+
+
+def _family_table() -> Table:
+    """Return one row for each family: ids by kind of reference, and what it evaluates."""
+    from gauge_envs.pages.table import grid
+
+    text = (Path(__file__).parent / "families.json").read_text(encoding="utf-8")
+    return grid(("family", "ids by kind of reference", "evaluates"), json.loads(text))
+
+
+def _experiment_table(variants: Sequence[Variant], scored: bool) -> Table:
+    """Return one row for each variant, with the engines that can run it."""
+    from gauge_envs.references.kind import Kind
+    from gauge_envs.tools.catalog.listing import list_rows
+    from gauge_envs.tools.catalog.report import list_table
+
+    rows = list_rows(dict.fromkeys(variants), notify=note)
+    if scored:
+        rows = [row for row in rows if row["kind"] != Kind.NONE]
+    return list_table(rows)
 
 
 def _beyond_the_benchmark() -> list[str]:

@@ -21,20 +21,17 @@ QUERY_LIMIT_S = 60.0
 def list_rows(
     variants: Iterable[Variant],
     *,
-    names: Sequence[str] | None = None,
     notify: Callable[[str], None] = lambda _: None,
 ) -> list[dict[str, Any]]:
     """Return a row for each variant; `backends` maps each backend to the features of the scene that it lacks.
 
     Args:
         variants: The variants.
-        names: Names of the backends; None is all. The answer of each takes the import of its engine.
         notify: Receives a sentence for each backend that does not work.
     """
     experiments = [load_experiment(variant) for variant in variants]
     lacking = {
-        name: lacking_features(name, experiments, notify)
-        for name in (backend_names() if names is None else names)
+        name: lacking_features(name, experiments, notify) for name in backend_names()
     }
     return [
         {

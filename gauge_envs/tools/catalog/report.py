@@ -3,12 +3,10 @@
 The pages of the documentation print the same facts as `gauge show`.
 """
 
-from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from gauge_envs.envs.arguments import EnvArguments
-from gauge_envs.experiments.task_files import task_spec
 from gauge_envs.pages.document import (
     Bullets,
     Document,
@@ -17,7 +15,7 @@ from gauge_envs.pages.document import (
     Part,
     Tone,
 )
-from gauge_envs.pages.table import Column, Facts, Table, grid
+from gauge_envs.pages.table import Column, Facts, Table
 from gauge_envs.pages.text import (
     KIND_NOTES,
     counted,
@@ -63,18 +61,6 @@ SECTIONS = {
     "provenance": "Sources of numbers",
 }
 """Headings of the complete description, by key of `description`."""
-
-
-def family_table(rows: Sequence[Mapping[str, Any]]) -> Table:
-    """Return one row for each family in the result of `list_rows`: ids by kind of reference, and what it evaluates."""
-    kinds: dict[str, Counter[str]] = {}
-    for row in rows:
-        kinds.setdefault(row["family"], Counter())[row["kind"]] += 1
-    cells = []
-    for family, counts in kinds.items():
-        kinds_text = ", ".join(f"{count} {kind}" for kind, count in counts.items())
-        cells.append((family, kinds_text, ", ".join(task_spec(family).evaluates)))
-    return grid(("family", "ids by kind of reference", "evaluates"), cells)
 
 
 def list_table(rows: Sequence[Mapping[str, Any]]) -> Table:

@@ -179,6 +179,7 @@ class ControlLine(TypedDict):
         duration_s: Duration [s].
         observed: Meaning of each entry of the observation.
         limit: Limit by the law: `quantity`, `unit`, `value`, `sigma` and their sources.
+        return_limit: Largest sum of rewards that the law allows in an episode.
         task: Goal and reward.
     """
 
@@ -187,6 +188,7 @@ class ControlLine(TypedDict):
     duration_s: float
     observed: Sequence[str]
     limit: Values
+    return_limit: float
     task: str
 
 

@@ -41,9 +41,11 @@ def compare(
     """
     from gauge_envs.tools.compare.comparison import compare as compare_results
     from gauge_envs.tools.compare.report import check_metrics, comparison_document
+    from gauge_envs.tools.compare.spool import TrajectorySpool
 
     names, files = check_metrics(metric or ()), arguments.by_suffix(out, ".md", ".json")
-    results, skipped = loaded_results(sources, corrected=corrected)
+    spool = TrajectorySpool()
+    results, skipped = loaded_results(sources, corrected=corrected, keep=spool.put)
     patterns = [short_id(pattern) for pattern in only or ["*"]]
     kept = _matching(
         [*results.values()], "experiment", patterns, lambda result: short_id(result.id)
@@ -54,7 +56,7 @@ def compare(
     if not kept:
         raise ResultFileError("no result is left to compare; gauge run writes them")
     document = comparison_document(
-        compare_results(kept),
+        compare_results(kept, spool.read),
         names,
         is_wide=form is Format.WIDE,
         with_rows=form is Format.JSON or ".json" in files,

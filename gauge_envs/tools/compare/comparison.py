@@ -1,7 +1,7 @@
 """Compare results of any configurations: scores, ranks and distances."""
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations
@@ -32,7 +32,9 @@ from gauge_envs.scoring.score import FROM_SOLUTION, Interval
 from gauge_envs.tools.compare.distance import Distance, trajectory_distance
 from gauge_envs.tools.compare.ranks import (
     KindComparison,
+    Mean,
     compare_kind,
+    rank_deviations,
 )
 from gauge_envs.tools.compare.reference import choose_reference
 from gauge_envs.tools.compare.statistics import (
@@ -48,11 +50,9 @@ class Cell:
 
     Attributes:
         results: Repeats by seed, including unsupported, failed and diverged ones.
-        deviations: Deviations from the reference. None if a repeat has no score: a mean without failures is too good.
     """
 
     results: tuple[Result, ...]
-    deviations: Deviations | None = None
 
     def count(self, outcome: Outcome) -> int:
         """Return the number of repeats with an outcome."""
@@ -104,6 +104,9 @@ class ExperimentComparison:
         unit: Unit of the observable.
         cells: Results of each configuration, in the order of the comparison; None without this experiment.
         baselines: Published scatter of real trials and scores of three engines, by metric.
+        ranks: Rank of each configuration among those with the same constants. Configurations with a repeat without a
+            score have no rank: a mean without failures is too good.
+        read: Function that returns a result with its trajectory.
     """
 
     id: str
@@ -111,6 +114,8 @@ class ExperimentComparison:
     unit: str
     cells: tuple[Cell | None, ...]
     baselines: Mapping[str, Baseline]
+    ranks: Mapping[int, Mean]
+    read: Callable[[Result], Result]
 
     @property
     def name(self) -> str:
@@ -142,14 +147,15 @@ class ExperimentComparison:
     def distances(self) -> tuple[Distance, ...]:
         """Distance between each pair of configurations that ran the experiment, computed on first access."""
         baseline = self.baselines.get("rmse")
-        distances = []
-        for (first, first_cell), (second, second_cell) in combinations(self.present, 2):
-            distance = trajectory_distance(
-                (first, second), first_cell.results, second_cell.results, baseline
-            )
-            if distance is not None:
-                distances.append(distance)
-        return tuple(distances)
+        repeats = {
+            index: [self.read(result) for result in cell.results]
+            for index, cell in self.present
+        }
+        distances = (
+            trajectory_distance(pair, repeats[pair[0]], repeats[pair[1]], baseline)
+            for pair in combinations(repeats, 2)
+        )
+        return tuple(filter(None, distances))
 
     def metrics(self, among: Iterable[str] = tuple(SCORE_METRICS)) -> list[str]:
         """Return the metrics with a score or comparable published scores, the primary metric first."""
@@ -192,13 +198,6 @@ class ExperimentComparison:
             return None
         return self.baselines[metric].engines
 
-    @property
-    def deviations(self) -> dict[int, Deviations]:
-        """Deviations of each configuration with a score, by index."""
-        return {
-            index: cell.deviations for index, cell in self.present if cell.deviations
-        }
-
 
 @dataclass(frozen=True, kw_only=True)
 class ScoreComparison:
@@ -229,12 +228,12 @@ class ScoreComparison:
         """Ranks within each kind of reference; experiments with several references are left out."""
         comparisons: list[KindComparison] = []
         for kind in Kind:
-            scored = {
-                experiment.id: experiment.deviations
+            ranks = {
+                experiment.id: experiment.ranks
                 for experiment in self.experiments
                 if experiment.kind is kind and _is_ranked(experiment)
             }
-            comparisons += compare_kind(kind, scored, self.constants)
+            comparisons += compare_kind(kind, ranks, self.constants)
         return tuple(comparisons)
 
 
@@ -250,11 +249,17 @@ def _is_ranked(experiment: ExperimentComparison) -> bool:
     return len(set(map(_reference_of, ran))) <= 1
 
 
-def compare(results: Iterable[Result]) -> ScoreComparison:
+def compare(
+    results: Iterable[Result], read: Callable[[Result], Result] = lambda result: result
+) -> ScoreComparison:
     """Compare results of any experiments, engines, parameters, settings and seeds.
 
     The newest revision of each experiment counts, and the latest result of each configuration and seed. Notes name the
     results that are left out.
+
+    Args:
+        results: The results. Their trajectories may be None if `read` returns them.
+        read: Function that returns a result with its trajectory. The trajectories of one experiment are read at a time.
     """
     given = sorted(results, key=lambda result: result.revision)
     newest = {result.id: result.revision for result in given}
@@ -270,13 +275,20 @@ def compare(results: Iterable[Result]) -> ScoreComparison:
         for name in sorted(older)
     ]
     groups = group_by_configuration(kept)
+    constants = [constants_of(configuration) for configuration, _ in groups]
     experiments = []
     for name in sorted(newest, key=_list_position):
         cells: list[Cell | None] = []
-        for _, members in groups:
+        deviations: dict[int, Deviations] = {}
+        for index, (_, members) in enumerate(groups):
             repeats = [result for result in members if result.id == name]
-            cells.append(_cell(repeats, notes))
-        experiments.append(_experiment(name, cells))
+            cell = _cell(repeats, notes)
+            cells.append(cell)
+            scored = cell and _deviations(cell.results, notes, read)
+            if scored:
+                deviations[index] = scored
+        ranks = rank_deviations(deviations, constants)
+        experiments.append(_experiment(name, cells, ranks, read))
     notes += _mismatches(kept)
     return ScoreComparison(
         configurations=tuple(configuration for configuration, _ in groups),
@@ -291,7 +303,12 @@ def _list_position(name: str) -> tuple[int, str]:
     return places.get(name, len(places)), name
 
 
-def _experiment(name: str, cells: Sequence[Cell | None]) -> ExperimentComparison:
+def _experiment(
+    name: str,
+    cells: Sequence[Cell | None],
+    ranks: Mapping[int, Mean],
+    read: Callable[[Result], Result],
+) -> ExperimentComparison:
     """Return an experiment in all configurations."""
     results: list[Result] = []
     for cell in filter(None, cells):
@@ -306,6 +323,8 @@ def _experiment(name: str, cells: Sequence[Cell | None]) -> ExperimentComparison
         unit=ran[0].score.unit,
         cells=tuple(cells),
         baselines=published_baselines(short_id(name)),
+        ranks=ranks,
+        read=read,
     )
 
 
@@ -324,10 +343,12 @@ def _cell(results: Sequence[Result], notes: list[str]) -> Cell | None:
             f"{name}: {len(results)} results of {kept[0].backend or 'files'} with {counted(len(kept), 'seed')}; "
             "the latest of each counts"
         )
-    return Cell(results=kept, deviations=_deviations(kept, notes))
+    return Cell(results=kept)
 
 
-def _deviations(results: Sequence[Result], notes: list[str]) -> Deviations | None:
+def _deviations(
+    results: Sequence[Result], notes: list[str], read: Callable[[Result], Result]
+) -> Deviations | None:
     """Return the deviations of repeats; None without scores. Add a note if stored scores cannot be reproduced."""
     is_finished = all(result.outcome is Outcome.FINISHED for result in results)
     scores = [result.score.primary_normalized for result in results]
@@ -343,7 +364,7 @@ def _deviations(results: Sequence[Result], notes: list[str]) -> Deviations | Non
         scale = _scale(experiment, band, results[0].score.primary)
         deviations = Deviations.of(
             band,
-            [reference.deviation(result) for result in results],
+            [reference.deviation(read(result)) for result in results],
             [result.seed for result in results],
             scale=scale,
             is_aligned=results[0].score.primary == ALIGNED.key,

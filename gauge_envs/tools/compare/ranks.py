@@ -10,6 +10,7 @@ possible one. The value of a rank is the middle of its interval. All experiments
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
@@ -40,10 +41,6 @@ class Mean:
     interval_95: Interval
 
 
-Scored = Mapping[str, Mapping[int, Deviations]]
-"""Deviations of the configurations with a score, by index, of each experiment, by id."""
-
-
 @dataclass(frozen=True, kw_only=True)
 class KindComparison:
     """Ranks of configurations with the same constants in the experiments of one kind of reference.
@@ -71,31 +68,34 @@ class KindComparison:
 
 
 def compare_kind(
-    kind: Kind, experiments: Scored, constants: Sequence[str]
+    kind: Kind, ranks: Mapping[str, Mapping[int, Mean]], constants: Sequence[str]
 ) -> tuple[KindComparison, ...]:
     """Return the ranks for each set of constants, the published constants first.
 
     Args:
         kind: Kind of the references.
-        experiments: Experiments of this kind.
+        ranks: Ranks in each experiment of this kind, by id and index of the configuration.
         constants: Name of the constants of each configuration.
     """
     groups: dict[str, list[int]] = {}
     for index, name in enumerate(constants):
-        if any(index in deviations for deviations in experiments.values()):
+        if any(index in places for places in ranks.values()):
             groups.setdefault(name, []).append(index)
     names = sorted(groups, key=lambda name: (name != PUBLISHED, name))
-    return tuple(_compared(kind, name, experiments, groups[name]) for name in names)
+    return tuple(_compared(kind, name, ranks, groups[name]) for name in names)
 
 
 def _compared(
     kind: Kind,
     constants: str,
-    experiments: Scored,
+    all_ranks: Mapping[str, Mapping[int, Mean]],
     members: Sequence[int],
 ) -> KindComparison:
     """Return the ranks of configurations with the same constants."""
-    ranks = {name: _ranks(experiments[name], members) for name in experiments}
+    ranks = {
+        name: {index: places[index] for index in members if index in places}
+        for name, places in all_ranks.items()
+    }
     common = [name for name, places in ranks.items() if len(places) == len(members)]
     return KindComparison(
         kind=kind,
@@ -109,13 +109,21 @@ def _compared(
     )
 
 
-def _ranks(
-    deviations: Mapping[int, Deviations], members: Sequence[int]
+def rank_deviations(
+    deviations: Mapping[int, Deviations], constants: Sequence[str]
 ) -> dict[int, Mean]:
-    """Return the rank of each configuration among `members` that has a score."""
-    scored = [index for index in members if index in deviations]
-    best, worst = dict.fromkeys(scored, 1), dict.fromkeys(scored, len(scored))
-    for first, second in combinations(scored, 2):
+    """Return the rank of each configuration in an experiment among those with the same constants.
+
+    Args:
+        deviations: Deviations of the configurations with a score, by index.
+        constants: Name of the constants of each configuration.
+    """
+    counts = Counter(constants[index] for index in deviations)
+    best = dict.fromkeys(deviations, 1)
+    worst = {index: counts[constants[index]] for index in deviations}
+    for first, second in combinations(deviations, 2):
+        if constants[first] != constants[second]:
+            continue
         low, high = difference_interval(deviations[first], deviations[second])
         if low > NEGLIGIBLE:
             best[first] += 1
@@ -128,7 +136,7 @@ def _ranks(
             value=0.5 * (best[index] + worst[index]),
             interval_95=(float(best[index]), float(worst[index])),
         )
-        for index in scored
+        for index in deviations
     }
 
 

@@ -5,6 +5,7 @@ hooks of an episode in the order in which `start` and `step` call them; and the 
 world of a task, and `ControlVectorEnv` is N.
 """
 
+import functools
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
@@ -16,7 +17,7 @@ import gymnasium
 import numpy as np
 from gymnasium import spaces
 from gymnasium.envs import registration
-from gymnasium.vector import AutoresetMode
+from gymnasium.vector import AutoresetMode, VectorEnv
 from numpy.typing import NDArray
 
 from gauge_envs.envs.arguments import (
@@ -69,6 +70,9 @@ class Ending(StrEnum):
 FAILED = (Ending.MISSED, Ending.LOST, Ending.DIVERGED)
 """Endings of episodes without a result."""
 
+SUCCESSFUL = (Ending.HELD, Ending.REACHED)
+"""Endings at the goal, or at the last frame without a slip."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Limit:
@@ -100,12 +104,19 @@ class LimitReport:
         reached: Value that the policy reached, in the limit's unit; 0 if the episode failed.
         ending: How the episode ended.
         time_s: Time of the ending [s].
+        return_limit: Largest sum of rewards that the law allows.
     """
 
     limit: Limit
     reached: float
     ending: Ending
     time_s: float
+    return_limit: float
+
+    @property
+    def is_success(self) -> bool:
+        """Whether the episode ended at the goal, or at the last frame without a slip."""
+        return self.ending in SUCCESSFUL
 
     @property
     def ratio(self) -> float:
@@ -311,6 +322,10 @@ class ControlTask(GuardedEnv, ABC):
     def _reached(self, world: int) -> float:
         """Return the value that the policy reached in a successful episode, in the unit of the limit."""
 
+    def return_limit(self, world: int = 0) -> float:
+        """Return the largest sum of rewards that the law allows in an episode."""
+        return 1.0
+
     @abstractmethod
     def _law_command(self, fraction: float, world: int) -> float | FloatArray:
         """Return the action of `law_action` before it is clipped to [-1, 1]."""
@@ -398,7 +413,7 @@ class ControlTask(GuardedEnv, ABC):
             Index of a value at the sample that each world shows, in arrays of shape [6, N, ...]: the last sample of the
             frame, or that of the ending.
         """
-        any_end = np.logical_or.reduce([*ends.values()])
+        any_end = functools.reduce(np.logical_or, ends.values())
         last = np.full(self.world_count, SAMPLES_PER_FRAME - 1)
         for world in np.flatnonzero(any_end.any(axis=0)).tolist():
             last[world] = sample = int(any_end[:, world].argmax())
@@ -422,7 +437,11 @@ class ControlTask(GuardedEnv, ABC):
 
     def observation(self) -> FloatArray:
         """Return the observations, shape [N, len(OBSERVED)]."""
-        return np.column_stack(self._observed())
+        columns = [
+            column if column.ndim > 1 else column[:, None]
+            for column in self._observed()
+        ]
+        return np.concatenate(columns, axis=1)
 
     def info(self, world: int) -> dict[str, Any]:
         """Return the `info` of a world without frame and time, see `ControlEnv`."""
@@ -430,7 +449,9 @@ class ControlTask(GuardedEnv, ABC):
         if world in self.rollout.diverged:
             info["diverged"] = self.rollout.diverged[world]
         if self.endings[world] is not None:
-            info["limit"] = self.report(world)
+            info["limit"] = report = self.report(world)
+            info["success"] = report.is_success
+            info["return_limit"] = report.return_limit
         return info
 
     def limit(self, world: int = 0) -> Limit:
@@ -452,6 +473,7 @@ class ControlTask(GuardedEnv, ABC):
             reached=0.0 if ending in FAILED else self._reached(world),
             ending=ending,
             time_s=float(self.rollout.times_s[world]),
+            return_limit=self.return_limit(world),
         )
 
 
@@ -475,7 +497,8 @@ class ControlEnv(GuardedEnv, gymnasium.Env[FloatArray, NDArray[np.float32]]):
     """One world of a control task; see `ControlTask` for steps and actions.
 
     `info`: `frame`, `time_s`, and `diverged` (the reason) if the simulation diverged. The last step of an episode adds
-    `limit`, a `LimitReport` of the policy's result and the law's limit.
+    `limit`, a `LimitReport` of the policy's result and the law's limit; `success`, whether it ended at its goal or
+    without a slip; and `return_limit`, the largest sum of rewards that the law allows.
 
     Args:
         family: Name of the task without its material, as `Throw`.
@@ -621,7 +644,7 @@ class ControlEnv(GuardedEnv, gymnasium.Env[FloatArray, NDArray[np.float32]]):
         self.rollout.simulation.close()
 
 
-class ControlVectorEnv(WorldsEnv):
+class ControlVectorEnv(WorldsEnv, VectorEnv[Any, Any, NDArray[Any]]):
     """Worlds of a control task; `gymnasium.make_vec` makes it. Each behaves as a `ControlEnv`.
 
     Args:

@@ -119,6 +119,10 @@ class FrictionLimit(CubeLimit):
         self._corners_on_carrier = np.zeros((count, *self._corners_m.shape))
         return super()._prepare(scene)
 
+    def return_limit(self, world: int = 0) -> float:
+        """Return mu for each step."""
+        return float(self.limits[world]) * (self.experiment.frame_count - 1)
+
     # --- episode ---
 
     def _begin(self, worlds: IntArray, randoms: Sequence[np.random.Generator]) -> None:

@@ -80,6 +80,7 @@ def document(name: str) -> Document:
         "duration_s": task.duration_s(),
         "observed": task.OBSERVED,
         "limit": vars(limit),
+        "return_limit": task.return_limit(),
         "task": text,
     }
     value = with_unit(f"{limit.value:.4g} +- {limit.sigma:.2g}", limit.unit)
@@ -88,6 +89,7 @@ def document(name: str) -> Document:
         "observed": ", ".join(task.OBSERVED),
         "law": limit.law,
         "limit": f"{limit.quantity}: {value}",
+        "largest return": f"{task.return_limit():.4g}",
         "uncertainty": limit.sigma_source,
     }
     title = Paragraph(f"GAUGE/{name}  control task", Tone.ANSWER)

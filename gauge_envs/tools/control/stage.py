@@ -102,6 +102,7 @@ class Stage:
         self._start = np.array([*pose.position_m, *pose.quaternion])
         self._scale, self._max_rate = acceleration, max_rate
         self._strokes = np.array(strokes * (self.motion_count // len(strokes)))
+        self._has_stroke = min(strokes) < math.inf
         self._speed_change = speed_change
         shape = SAMPLES_PER_FRAME + 1, world_count, self.motion_count
         self.offsets, self.rates = np.zeros((2, *shape))
@@ -124,6 +125,7 @@ class Stage:
         self.speed_changes_left[:, chosen] = self._speed_change
         self.poses[:, chosen] = poses
         self._shifts_m[chosen] = (poses - self._start)[..., :3]
+        self._is_shifted = bool(self._shifts_m.any())
 
     def targets(
         self, first: int | IntArray, actions: FloatArray, count: int = SAMPLES_PER_FRAME
@@ -141,22 +143,29 @@ class Stage:
         self.acceleration = actions * self._scale
         self._move(self.acceleration * SAMPLE_INTERVAL_S)
         targets, self.poses = self._simple.targets(self.offsets, self.rates)
-        targets[..., :3] += self._shifts_m
-        self.poses[..., :3] += self._shifts_m
+        if self._is_shifted:
+            targets[..., :3] += self._shifts_m
+            self.poses[..., :3] += self._shifts_m
         return targets
 
     def _move(self, changes: FloatArray) -> None:
         """Advance coordinates and rates by a frame with a change of the rates in each interval, shape [N, M]."""
-        before, left = self.rates[-1], self.speed_changes_left[-1, :, None]
-        gains = np.clip(INTERVALS * changes, -left, left)
-        rates = np.clip(before + gains, -self._max_rate, self._max_rate)
+        before, gains = self.rates[-1], INTERVALS * changes
+        is_limited = self._speed_change < math.inf
+        if is_limited:
+            left = self.speed_changes_left[-1, :, None]
+            gains = np.clip(gains, -left, left)
+        rates = before + gains
+        if self._max_rate < math.inf:
+            rates = np.clip(rates, -self._max_rate, self._max_rate)
         offsets = np.empty_like(rates)
         offsets[0] = self.offsets[-1]
         offsets[1:] = (0.5 * SAMPLE_INTERVAL_S) * (rates[1:] + rates[:-1])
-        offsets = np.cumsum(offsets, axis=0)
-        used = np.abs(rates - before).sum(axis=-1)
-        self.speed_changes_left = np.maximum(self.speed_changes_left[-1] - used, 0.0)
-        if (np.abs(offsets) > self._strokes).any():
+        offsets = np.add.accumulate(offsets)
+        if is_limited:
+            used = np.abs(rates - before).sum(axis=-1)
+            self.speed_changes_left = np.maximum(self.speed_changes_left[-1] - used, 0)
+        if self._has_stroke and (np.abs(offsets) > self._strokes).any():
             self._stop(offsets, rates, np.diff(gains, axis=0))
         self.offsets, self.rates = offsets, rates
 

@@ -188,7 +188,7 @@ class ThrowLimit(ControlTask):
         """Return the ball's place from the plate's centre along x, height and velocity at the seven samples."""
         states = self._frame.values[:, :, 0]
         from_plate_m = states[..., 0] - self._stage.poses[..., 0]
-        return from_plate_m, states[..., 2] - self._zero_m, states[..., [7, 9]]
+        return from_plate_m, states[..., 2] - self._zero_m, states[..., 7:10:2]
 
     def _after_frame(self) -> None:
         from_plate_m, heights_m, velocities = self._ball()

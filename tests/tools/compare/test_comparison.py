@@ -25,6 +25,7 @@ from gauge_envs.tools.compare.comparison import compare
 from gauge_envs.tools.compare.experiment_figure import draw_experiment
 from gauge_envs.tools.compare.overview_figure import draw_overview
 from gauge_envs.tools.compare.report import comparison_document
+from gauge_envs.tools.compare.spool import TrajectorySpool
 
 SLIDER, PLASTIC, FOAM, CRADLE, TURNED = (
     "SlopeSlider-2-wood",
@@ -228,7 +229,11 @@ def test_a_score_that_differs_from_its_trajectory_is_not_ranked(real):
 
 
 def distance(*results):
-    (experiment,) = compare(results).experiments
+    # The command keeps trajectories in a file.
+    spool = TrajectorySpool()
+    kept = [spool.put(result) for result in results]
+    assert all(result.trajectory is None for result in kept)
+    (experiment,) = compare(kept, spool.read).experiments
     (far,) = experiment.distances
     return far
 

@@ -8,6 +8,7 @@ from gauge_envs.references.kind import Kind
 from gauge_envs.tools.compare.ranks import (
     NEGLIGIBLE,
     compare_kind,
+    rank_deviations,
 )
 from gauge_envs.tools.compare.statistics import (
     Deviations,
@@ -44,15 +45,22 @@ def deviations(band, *motions, seeds=None):
     )
 
 
-def scored(*scores, name="exact", u=0.0):
+def scored(*scores, u=0.0):
     """Return configurations at these distances along one axis from a reference with standard uncertainty u."""
     band = band_of(0.0 * AXIS, kind=Kind.ANALYTIC, u=u)
     known = {index: score for index, score in enumerate(scores) if score is not None}
-    return {name: {key: deviations(band, score * AXIS) for key, score in known.items()}}
+    return {key: deviations(band, score * AXIS) for key, score in known.items()}
+
+
+def kinds_of(experiments, constants):
+    ranks = {
+        name: rank_deviations(known, constants) for name, known in experiments.items()
+    }
+    return compare_kind(Kind.ANALYTIC, ranks, constants)
 
 
 def ranks(experiment, count):
-    (kind,) = compare_kind(Kind.ANALYTIC, experiment, ["published"] * count)
+    (kind,) = kinds_of({"exact": experiment}, ["published"] * count)
     (places,) = kind.ranks.values()
     return [places[index].interval_95 for index in range(count)]
 
@@ -65,15 +73,14 @@ def test_ranks_differ_only_for_resolved_differences():
 
 
 def test_experiments_have_equal_weight_and_constants_are_ranked_apart():
-    experiments = scored(100.0, 50.0, name="d") | scored(9.0, None)
-    for name in ("a", "b", "c"):
-        experiments |= scored(1.0, 2.0, name=name)
-    (kind,) = compare_kind(Kind.ANALYTIC, experiments, ["published"] * 2)
+    usual = dict.fromkeys(("a", "b", "c"), scored(1.0, 2.0))
+    others = {"d": scored(100.0, 50.0), "exact": scored(9.0, None)}
+    (kind,) = kinds_of(usual | others, ["published"] * 2)
     # Scores fifty times larger do not decide, and an experiment without a score does not count.
-    assert kind.ids == ("d", "a", "b", "c")
+    assert kind.ids == ("a", "b", "c", "d")
     assert [mean.value for mean in kind.mean_ranks.values()] == [1.25, 1.75]
     constants = ("published", "measured", "published", "measured")
-    kinds = compare_kind(Kind.ANALYTIC, scored(2.0, 0.2, 1.0, 0.1), constants)
+    kinds = kinds_of({"exact": scored(2.0, 0.2, 1.0, 0.1)}, constants)
     assert [kind.name for kind in kinds] == ["analytic", "analytic, measured"]
     best = [
         min(kind.mean_ranks, key=lambda at: kind.mean_ranks[at].value) for kind in kinds
