@@ -94,7 +94,8 @@ def run_scenario(backend: Backend, scenario: Scenario, settings: Settings) -> Re
     """
     if settings.get("timestep_s") is None:
         # A given step gives every rollout of the scenario the same sampling rule.
-        effective = effective_settings(backend, scenario, settings)
+        with closing(_built(backend, scenario, settings)) as simulation:
+            effective = simulation.settings
         if "timestep_s" in effective:
             settings = {**settings, "timestep_s": effective["timestep_s"]}
     with closing(_built(backend, scenario, settings)) as simulation:
@@ -114,14 +115,6 @@ def run_scenario(backend: Backend, scenario: Scenario, settings: Settings) -> Re
             speed_limit_m_per_s=scenario.scene.speed_limit_m_per_s,
             nodes_of=(),
         )
-
-
-def effective_settings(
-    backend: Backend, scenario: Scenario, settings: Settings
-) -> dict[str, Any]:
-    """Return every numerical setting that a scenario would run with, those of the preset included."""
-    with closing(_built(backend, scenario, settings)) as simulation:
-        return dict(simulation.settings)
 
 
 def _built(backend: Backend, scenario: Scenario, settings: Settings) -> Simulation:
