@@ -42,7 +42,11 @@ else:
             ".readers": ["configuration"],
             ".run": ["check"],
             ".verdict": [
-                *("Fix", "Reality", "Report", "SanityResult", "SanityVerdict"),
+                "Fix",
+                "Reality",
+                "Report",
+                "SanityResult",
+                "SanityVerdict",
                 "TrainingConfiguration",
             ],
             ".wrapper": ["SanityWarning", "SanityWrapper"],
