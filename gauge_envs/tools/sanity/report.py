@@ -298,7 +298,12 @@ def measured_text(result: SanityResult) -> str:
 
 
 SEVERITY = Column(
-    "", "", lambda result: result.severity or result.verdict.value, style=_style
+    "",
+    "",
+    lambda result: (
+        "accepted" if result.accepted else result.severity or result.verdict.value
+    ),
+    style=_style,
 )
 
 COLUMNS = (

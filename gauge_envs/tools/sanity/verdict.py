@@ -274,7 +274,7 @@ class SanityResult:
     @property
     def severity(self) -> Severity:
         """Consequence of the finding."""
-        if not self.verdict.is_off or self.cause or self.accepted:
+        if not self.is_flag:
             return Severity.NONE
         if self.is_usual or not self.is_on_target:
             return Severity.ADVICE
