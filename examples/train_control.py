@@ -105,14 +105,14 @@ class Worlds(VecEnv):
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
         """Refuse: the worlds are one environment."""
-        raise NotImplementedError
+        raise NotImplementedError("the worlds are one environment")
 
     def env_method(self, method_name: str, *args: Any, indices: Any = None, **kwargs: Any) -> list[Any]:
         """Refuse: the worlds are one environment."""
-        raise NotImplementedError
+        raise NotImplementedError("the worlds are one environment")
 
     def env_is_wrapped(self, wrapper_class: Any, indices: Any = None) -> list[bool]:
-        """Return that no world has a wrapper of its own."""
+        """Return False for each world, as wrappers are around all of them."""
         return [False] * self.num_envs
 
 

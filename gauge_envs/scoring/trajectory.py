@@ -195,7 +195,7 @@ def _event_value(variant: str, event: RecordedEvent, motion: SampledMotion) -> f
         )
     try:
         return EVENTS[event.name](replace(motion, markers=event.markers))
-    except Exception as cause:
+    except (LookupError, ValueError, TypeError, StopIteration) as cause:
         reason = f"{variant} has not the bodies, markers or motion of this event"
         raise ReferenceFileError(file, place, reason) from cause
 
