@@ -36,6 +36,9 @@ class BackendMuJoCo(BundledBackend):
         "the damping of a contact is derived from the restitution, because MuJoCo has no coefficient of restitution",
     )
     features = frozenset(Feature)
+    contact_softness = MappingProxyType(
+        dict.fromkeys(("sustained_solref", "cloth_solref", "contact_solref"), 0.5)
+    )
     configurations = MappingProxyType(
         {
             "PGS": {"solver": "PGS"},
