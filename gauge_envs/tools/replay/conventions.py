@@ -100,7 +100,9 @@ def _conventions(
     slides = [name for name, joint in joints.items() if joint.type[0] == slide]
     if mapped.unit == "rad" and is_far:
         radians = {
-            name: {"scale": np.deg2rad(1.0)} for name in joints if name not in slides
+            name: {"scale": float(np.deg2rad(1.0))}
+            for name in joints
+            if name not in slides
         }
         degrees = mapped.model_copy(update={"unit": "deg"})
         yield (
