@@ -72,12 +72,12 @@ def copy_studies(app: Sphinx) -> None:
             r"](\1.md",
             note.read_text(encoding="utf-8"),
         )
+        text = re.sub(r"\]\((?:\.\./)+docs/", "](../", text)
+        folder = f"../../{note.parent.relative_to(STUDIES.parent)}"
         text = re.sub(
-            r"\]\(([\w-]+\.(?:png|gif))",
-            rf"](../../studies/{name}/\1",
-            text.replace("](../../docs/", "](../").replace(
-                "](../README.md", "](index.md"
-            ),
+            r"\]\(((?:\.\./)?[\w/-]+\.(?:png|gif|py))\)",
+            rf"]({folder}/\1)",
+            text.replace("](../README.md", "](index.md"),
         )
         (pages / f"{name}.md").write_text(text, encoding="utf-8")
 

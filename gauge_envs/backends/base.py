@@ -79,6 +79,8 @@ class Backend(ABC):
         worlds_share_simulation: Whether an overridden `build_worlds` advances all worlds together. A sweep runs the
             repeats of such an engine in one batch. It runs the repeats of other engines one after another, so that an
             interrupted sweep loses less.
+        contact_softness: Settings that make contacts soft, and the factor that makes contacts half as soft. Of a MuJoCo
+            `solref` the factor applies to the time constant. A step that softens contacts is no such setting.
         restarts_worlds: Whether the `reset` of an overridden `build_worlds` takes `worlds`. Vector environments loop
             over simulations of one world of any other engine.
     """
@@ -92,6 +94,7 @@ class Backend(ABC):
     features: ClassVar[frozenset[Feature]] = frozenset()
     own_defaults: ClassVar[frozenset[str]] = frozenset({"out_of_box"})
     worlds_share_simulation: ClassVar[bool] = True
+    contact_softness: ClassVar[Mapping[str, float]] = MappingProxyType({})
     restarts_worlds: ClassVar[bool] = False
 
     def whose_physics(self, preset: str) -> str:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.references.band import Band
 from gauge_envs.references.published import PUBLISHED_TRIALS
-from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene.geometry import BoolArray, FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.scoring.answers import (
     baseline_means,
@@ -22,7 +23,7 @@ from gauge_envs.scoring.answers import (
     united,
     within,
 )
-from gauge_envs.scoring.exact import exact_motion
+from gauge_envs.scoring.exact import Path, exact_path, law_holds
 from gauge_envs.scoring.interval import (
     distance_interval,
     distances_without,
@@ -191,13 +192,15 @@ def _aligned(score: Score, motion: ComparedMotion) -> Score:
 def _from_exact(score: Score, motion: ComparedMotion) -> Score:
     """Return a score with the distance from the exact motion, and the cause of the distance from real trials."""
     experiment, band, frames = motion.experiment, motion.band, motion.frames
-    places = exact_motion(experiment, np.arange(len(frames)) / FRAME_RATE_HZ, band)
-    samples = exact_motion(experiment, motion.times_s, band)
-    if places is None or samples is None:
+    exact_places = exact_path(experiment, band)
+    if exact_places is None:
         return score
+    places = exact_places(np.arange(len(frames)) / FRAME_RATE_HZ)
     exact = band.project(places)
-    size = trajectory_rmse(exact, np.broadcast_to(exact[:1], exact.shape))
-    distance = trajectory_rmse(frames, exact)
+    holds = law_holds(experiment, places, band)
+    path = exact[holds]
+    size = trajectory_rmse(path, np.broadcast_to(path[:1], path.shape))
+    distance = trajectory_rmse(frames[holds], path)
     of_trials = None
     if score.distance and score.primary_normalized:
         of_trials = score.distance / score.primary_normalized
@@ -212,9 +215,12 @@ def _from_exact(score: Score, motion: ComparedMotion) -> Score:
         return score
     from_trials = trajectory_rmse(exact, band.mean)
     if score.time_offset_s is not None:
-        distance = _distance_from_exact(experiment, band, frames, score.time_offset_s)
+        distance = _distance_from_exact(
+            exact_places, band, frames, holds, score.time_offset_s
+        )
         # Both shifts interpolate between the same samples.
-        _, from_trials = time_offset(motion.times_s, band.project(samples), band.mean)
+        samples = band.project(exact_places(motion.times_s))
+        from_trials = _aligned_rmse(motion.times_s.tobytes(), samples.tobytes(), band)
     assert score.distance is not None and score.real_limit is not None, "as documented"
     cause = cause_of(
         is_real=score.distance <= score.real_limit,
@@ -224,28 +230,40 @@ def _from_exact(score: Score, motion: ComparedMotion) -> Score:
     return replace(score, exact=from_trials / of_trials, cause=cause)
 
 
+@lru_cache(maxsize=64)
+def _aligned_rmse(times: bytes, samples: bytes, band: Band) -> float:
+    """Return the RMSE of an exact motion after the best time shift; worlds with the same start have the same."""
+    times_s = np.frombuffer(times)
+    values = np.frombuffer(samples).reshape(len(times_s), -1)
+    return time_offset(times_s, values, band.mean)[1]
+
+
 def _distance_from_exact(
-    experiment: Experiment, band: Band, frames: FloatArray, time_offset_s: float
+    exact_places: Path,
+    band: Band,
+    frames: FloatArray,
+    holds: BoolArray,
+    time_offset_s: float,
 ) -> float:
     """Return the RMSE of a motion to the exact motion after the best time shift, in the unit of the reference.
 
     The exact motion is shifted, not the other one: its law holds at any time, so nothing is interpolated.
 
     Args:
-        experiment: Experiment with an exact motion.
+        exact_places: The exact path.
         band: The reference.
         frames: The motion at the 30 Hz frames in the coordinates of the reference, shape [T, C].
+        holds: Frames at which the law holds, shape [T].
         time_offset_s: Time shift of the motion to the trials [s]. Frames that this shift moves beyond the end of the
             trials do not count, as in the score.
     """
     times_s = np.arange(len(frames)) / FRAME_RATE_HZ
-    is_compared = times_s <= times_s[-1] - max(time_offset_s, 0.0)
+    is_compared = holds & (times_s <= times_s[-1] - max(time_offset_s, 0.0))
 
     def shifted_rmse(offset_s: FloatArray) -> FloatArray:
         queries_s = times_s[is_compared] - offset_s[..., None]
-        exact = exact_motion(experiment, queries_s.ravel(), band)
-        assert exact is not None, "the experiment has an exact motion"
-        projected = band.project(exact).reshape(*queries_s.shape, -1)
+        exact = band.project(exact_places(queries_s.ravel()))
+        projected = exact.reshape(*queries_s.shape, -1)
         return rms_deviation(projected - frames[is_compared])
 
     return best_offset(shifted_rmse)[1]

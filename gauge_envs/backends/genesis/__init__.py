@@ -40,6 +40,9 @@ class BackendGenesis(BundledBackend):
     own_defaults = frozenset({"out_of_box", "paper"})
     settings_for = staticmethod(settings_for)
     fabric_constants = staticmethod(pbd_constants)
+    contact_softness = MappingProxyType(
+        {"sustained_timeconst_s": 0.5, "contact_softness_m": 0.5}
+    )
     configurations = MappingProxyType(
         {"CG": {"constraint_solver": "CG", "contact_resolution": "convex"}}
         | {name: {"preset": name} for name in ("out_of_box", "paper")}

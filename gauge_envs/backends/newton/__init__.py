@@ -51,6 +51,10 @@ class BackendNewton(BundledBackend):
     packages = ("newton", "warp-lang", "mujoco-warp", "mujoco")
     settings_for = staticmethod(settings_for)
     fabric_constants = staticmethod(vbd_constants)
+    contact_softness = MappingProxyType(
+        dict.fromkeys(("contact_per_stretch", "soft_contact_stiffness_n_per_m"), 2.0)
+        | dict.fromkeys(("sustained_solref", "contact_solref"), 0.5)
+    )
     configurations = MappingProxyType(
         {"out_of_box": {"preset": "out_of_box"}, "paper": {"preset": "paper"}}
     )

@@ -44,6 +44,9 @@ class BackendRapier(BundledBackend):
     modules = ("rapier3d",)
     packages = ("rapier3d",)
     settings_for = staticmethod(settings_for)
+    contact_softness = MappingProxyType(
+        {"contact_frequency_hz": 2.0, "static_contact_frequency_hz": 2.0}
+    )
     configurations = MappingProxyType(
         {
             "coulomb": {"friction_model": "coulomb"},

@@ -43,10 +43,11 @@ def reference(
         ),
     ] = None,
 ) -> None:
-    """Solve a scene at refined steps and cells, and write the solution as its reference.
+    """Solve a scene at refined steps, contacts and cells, and write the solution as its reference.
 
-    The runs have the step, its half and its quarter, then half the cells; their differences give the standard
-    uncertainty. `gauge run` and `gauge compare` score against a reference beside the task file.
+    The runs have the step, its half and its quarter, then half the softness of contacts, then half the cells; their
+    differences give the standard uncertainty. `gauge run` and `gauge compare` score against a reference beside the
+    task file.
     """
     from gauge_envs.runs.request import RunRequest
     from gauge_envs.tools.reference import solution as solving
@@ -57,31 +58,31 @@ def reference(
     experiment = request.experiment()
     file = _file(experiment.variant, out)
     coarse = solving.finished(request)
-    finer = solving.finer_settings(coarse, experiment.scene)
-    message(_plan(coarse, finer, solving.minutes(coarse, experiment.scene, finer)))
+    stiffer = solving.stiffer_contacts(coarse, experiment.scene)
+    finer = solving.finer_settings(coarse, experiment.scene, stiffer)
+    minutes = solving.minutes(coarse, experiment.scene, finer)
+    names = [_refined(values, stiffer) for values in finer]
+    message(_plan(coarse, names, minutes))
     requests = [replace(request, settings=values) for values in finer]
     if against:
         requests.insert(0, replace(request, backend=against, settings=None))
+        names.insert(0, against)
     results = []
     with Progress("runs", len(requests)) as progress:
-        for each in requests:
+        for each, label in zip(requests, names, strict=True):
             results.append(solving.finished(each))
-            progress.advance(_refined(results[-1].settings))
+            progress.advance(label)
     other = solving.motion(results.pop(0)) if against else None
     motions = [solving.motion(result) for result in (coarse, *results)]
     solved = solving.solution(motions, len(experiment.coordinates), other)
-    left_out = _left_out(against)
-    source = f"{_origin(results[-1], against)}; {left_out}"
+    is_soft = bool(experiment.scene.contacts) and not stiffer
+    left_out = _left_out(against, is_soft)
+    compared = f", compared with {against}" if against else ""
+    version = coarse.versions.get(backend, "")
+    source = f"{backend} {version} with {names[-1]}{compared}; {left_out}"
     solving.write_solution(file, experiment, solved, source)
     echo(_summary(solved, experiment.score.observable.unit))
     echo(f"{left_out}\n{file}")
-
-
-def _origin(finest: Result, against: str | None) -> str:
-    """Return the engine, the step and the cells of the finest run, and the second engine, if any."""
-    engine = f"{finest.backend} {finest.versions.get(finest.backend or '', '')}"
-    compared = f", compared with {against}" if against else ""
-    return f"{engine} with {_refined(finest.settings)}{compared}"
 
 
 def _file(variant: Variant, out: Path | None) -> Path:
@@ -109,21 +110,25 @@ def _file(variant: Variant, out: Path | None) -> Path:
     return file
 
 
-def _refined(settings: Mapping[str, Any]) -> str:
-    """Return the step and the cells of a run, as `timestep_s=1/9000`; another engine may have no step."""
-    step_s = settings.get("timestep_s")
-    text = f"timestep_s=1/{1.0 / step_s:.6g}" if step_s else "its own step"
-    cell_m = settings.get("cell_m")
-    return f"{text},cell_m={cell_m:.4g}" if cell_m else text
+def _refined(settings: Mapping[str, Any], stiffer: Mapping[str, Any]) -> str:
+    """Return the step, the cells and the contacts of a run, as `timestep_s=1/9000`.
+
+    Args:
+        settings: Settings of the run.
+        stiffer: Settings of stiffer contacts.
+    """
+    text = f"timestep_s=1/{1.0 / settings['timestep_s']:.6g}"
+    if cell_m := settings.get("cell_m"):
+        text += f",cell_m={cell_m:.4g}"
+    if stiffer and stiffer.items() <= settings.items():
+        text += ",half the softness of contacts"
+    return text
 
 
-def _plan(coarse: Result, finer: Sequence[Mapping[str, Any]], minutes: float) -> str:
+def _plan(coarse: Result, finer: Sequence[str], minutes: float) -> str:
     """Return the runs that follow a coarse run, and their estimated minutes."""
-    names = "; ".join(map(_refined, finer))
-    took = (
-        f"{_refined(coarse.settings)} took {coarse.cpu_s or 0.0:.2f} s of a processor"
-    )
-    return f"{took}; about {minutes:.1f} min for {names}"
+    took = f"{_refined(coarse.settings, {})} took {coarse.cpu_s or 0.0:.2f} s of a processor"
+    return f"{took}; about {minutes:.1f} min for {'; '.join(finer)}"
 
 
 def _summary(solved: Solution, unit: str) -> str:
@@ -141,9 +146,13 @@ def _summary(solved: Solution, unit: str) -> str:
     return f"u = {solved.u:.3g} {unit}{share} of the motion of {solved.moved:.4g} {unit}; {order}"
 
 
-def _left_out(against: str | None) -> str:
-    """Return what the uncertainty leaves out, with or without a second engine."""
+def _left_out(against: str | None, is_soft: bool) -> str:
+    """Return what the uncertainty leaves out.
+
+    Args:
+        against: Second engine, if any.
+        is_soft: Whether bodies touch and the engine declares no softness of contacts.
+    """
     parts = [] if against else ["a second engine (--against)"]
-    return (
-        f"u leaves out: {', '.join([*parts, 'softness and tolerance of the solver'])}"
-    )
+    parts += ["softness of contacts"] if is_soft else []
+    return f"u leaves out: {', '.join([*parts, 'tolerance of the solver'])}"

@@ -1,8 +1,8 @@
-"""Solve a scene by one engine at smaller steps and cells, and estimate the uncertainty of the finest run.
+"""Solve a scene by one engine at smaller steps and cells with stiffer contacts, and estimate its uncertainty.
 
 The observed order of convergence p gives the error of the finest of three runs as |x3 - x2| / (2^p - 1) (Roache 1998).
-The mesh has two levels, whose difference is the error of an order of 1. A second engine differs by at most the half
-width of a rectangular distribution (GUM 4.3.7).
+Contacts and mesh have two levels, whose difference is the error of an order of 1. A second engine differs by at most
+the half width of a rectangular distribution (GUM 4.3.7).
 """
 
 import io
@@ -10,11 +10,13 @@ import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from gauge_envs.backends.registry import backend_class
 from gauge_envs.errors import BackendError, ParameterError
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.pages.document import save_file
@@ -86,10 +88,10 @@ def length(values: FloatArray, width: int) -> float:
 def solution(
     runs: Sequence[FloatArray], width: int, other: FloatArray | None = None
 ) -> Solution:
-    """Return the solution of runs at the steps h, h/2 and h/4, and then with half the cells if there is a fourth.
+    """Return the solution of runs at the steps h, h/2 and h/4, then with stiffer contacts and half the cells.
 
     Args:
-        runs: Their motions, shape [T, D + 3 M] each.
+        runs: Their motions, shape [T, D + 3 M] each; each run after the third refines one thing more.
         width: Number D of coordinates of g(t).
         other: Motion of a second engine.
     """
@@ -101,22 +103,33 @@ def solution(
         ratio=first / second if second else math.inf,
         width=width,
     )
-    parts = [(fine - middle) / (2.0**found.order - 1.0), runs[-1] - fine]
+    parts = [(fine - middle) / (2.0**found.order - 1.0)]
+    parts += [after - before for before, after in pairwise(runs[2:])]
     if other is not None:
         parts.append((other - runs[-1]) / math.sqrt(3.0))
     uncertainty = np.sqrt(np.square(parts).sum(axis=0))
     return replace(found, uncertainty=uncertainty)
 
 
-def finer_settings(coarse: Result, scene: Scene) -> list[dict[str, Any]]:
-    """Return the settings of the runs after the coarse one, from cheap to expensive."""
+def finer_settings(
+    coarse: Result, scene: Scene, stiffer: Mapping[str, Any]
+) -> list[dict[str, Any]]:
+    """Return the settings of the runs after the coarse one, from cheap to expensive.
+
+    Args:
+        coarse: The coarse run.
+        scene: Its scene.
+        stiffer: Settings of stiffer contacts; empty without contacts.
+    """
     step_s, cell_m = (coarse.settings.get(name) for name in ("timestep_s", "cell_m"))
     if not step_s:
         raise ParameterError(
             f"backend {coarse.backend!r} has no setting timestep_s that can be refined: choose another one"
         )
     given = coarse.settings_given
-    finer = [given | {"timestep_s": step_s / parts} for parts in (2, 4)]
+    finer = [{**given, "timestep_s": step_s / parts} for parts in (2, 4)]
+    if stiffer:
+        finer.append({**finer[-1], **stiffer})
     if scene.deformables:
         if not cell_m:
             names = ", ".join(body.name for body in scene.deformables)
@@ -128,10 +141,28 @@ def finer_settings(coarse: Result, scene: Scene) -> list[dict[str, Any]]:
     return finer
 
 
+def stiffer_contacts(coarse: Result, scene: Scene) -> dict[str, Any]:
+    """Return settings with which contacts are half as soft; empty if nothing touches or the engine declares none."""
+    stiffer: dict[str, Any] = {}
+    if not scene.contacts:
+        return stiffer
+    for name, factor in backend_class(coarse.backend or "").contact_softness.items():
+        value = coarse.settings.get(name)
+        if isinstance(value, Sequence):
+            time_s, ratio = value
+            # Numbers below 0 are minus a stiffness and minus a damping.
+            direct = [time_s / factor**2, ratio / factor]
+            stiffer[name] = direct if time_s < 0.0 else [time_s * factor, ratio]
+        elif value is not None:
+            stiffer[name] = value * factor
+    return stiffer
+
+
 def minutes(coarse: Result, scene: Scene, finer: Sequence[Mapping[str, Any]]) -> float:
     """Return the estimated minutes of processor time of the finer runs."""
-    more = max((MORE_CELLS.get(type(body), 2) for body in scene.deformables), default=0)
-    parts = (2, 4, 4 * more)[: len(finer)]
+    parts = [2, *[4] * (len(finer) - 1)]
+    if scene.deformables:
+        parts[-1] *= max(MORE_CELLS.get(type(body), 2) for body in scene.deformables)
     return (coarse.cpu_s or 0.0) * sum(parts) / 60.0
 
 

@@ -15,13 +15,17 @@ What follows from a wrong joint or body is part of that finding.
 from __future__ import annotations
 
 import re
-import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
+
+from pydantic import BaseModel, ConfigDict
 
 from gauge_envs.errors import TargetError
-from gauge_envs.names import nearest
+from gauge_envs.names import first_names, nearest
+from gauge_envs.reading import reading
+from gauge_envs.text import toml_document
 from gauge_envs.tools.sanity.target_checks import READ, selection
 from gauge_envs.tools.sanity.verdict import (
     SanityResult,
@@ -30,55 +34,112 @@ from gauge_envs.tools.sanity.verdict import (
     TrainingConfiguration,
 )
 
-COMMENT = re.compile(
-    r"<!--\s*gauge: accept\s+([^\s:]+(?::[^\s:][^:]*?)?)(?::\s*(.*?))?\s*-->", re.DOTALL
-)
+COMMENT = re.compile(r"<!--\s*gauge:\s*(.*?)\s*-->", re.DOTALL | re.IGNORECASE)
+
+ENTRY = re.compile(r"accept\s+([^\s:]+(?::[^\s:][^:]*?)?)(?::\s*(.*?))?", re.DOTALL)
+"""Check, or check and element, and the reason of a comment."""
 
 FILE = Path("gauge.toml")
 """File of the working directory with the findings that are accepted."""
 
+FORM = 'write [sanity.accept], then lines as "density:finger_l" = "fingers of tungsten"'
+
+
+class AcceptTable(BaseModel):
+    """The table `sanity` of the file: the reason of each accepted finding."""
+
+    model_config = ConfigDict(extra="forbid", strict=True)
+
+    accept: dict[str, str] = {}
+
+
+class GaugeFile(BaseModel):
+    """The file `gauge.toml`."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    sanity: AcceptTable = AcceptTable()
+
+
+class Entry(NamedTuple):
+    """An accepted finding: its file, its name as `density` or `density:finger_l`, and why it is right."""
+
+    file: str
+    name: str
+    reason: str
+
+
+def entries(configuration: TrainingConfiguration) -> list[Entry]:
+    """Return the accepted findings of `gauge.toml` and of the comments of the model.
+
+    Raises:
+        TargetError: The file or a comment cannot be read, a check does not exist, or an entry has no reason.
+    """
+    found = [*_comments(configuration)]
+    if FILE.is_file():
+        with reading(FILE, TargetError, hint=FORM) as content:
+            table = GaugeFile.model_validate(toml_document(content)).sanity.accept
+        found += [Entry(str(FILE), *item) for item in table.items()]
+    for file, name, reason in found:
+        check = name.partition(":")[0]
+        if check not in selection():
+            raise TargetError(
+                f"{file}: unknown check {check!r}; {nearest(check, selection())}"
+            )
+        if not reason.strip():
+            raise TargetError(
+                f"{file}: {name} is accepted without a reason: state why it is right"
+            )
+    return found
+
+
+def _comments(configuration: TrainingConfiguration) -> Iterator[Entry]:
+    """Yield the accepted findings of the comments of the model."""
+    robot = configuration.robot
+    if robot is None or robot.text is None:
+        return
+    for file, text in robot.text.texts.items():
+        for comment in COMMENT.findall(text):
+            match = ENTRY.fullmatch(comment)
+            if match is None:
+                words = " ".join(comment.split())
+                raise TargetError(
+                    f'{file.name}: the comment "gauge: {words:.60}" is not read; '
+                    'write "gauge: accept CHECK: REASON"'
+                )
+            yield Entry(file.name, match[1], match[2] or "")
+
 
 def accept(
-    results: Sequence[SanityResult], configuration: TrainingConfiguration
+    results: Sequence[SanityResult], accepted: Sequence[Entry]
 ) -> tuple[list[SanityResult], tuple[str, ...]]:
     """Return results in which findings with a reason are accepted, and sentences on entries that accept nothing.
 
     A finding has a reason if its check, or each of its elements, has one.
-
-    Raises:
-        TargetError: An entry has no reason, or the file cannot be read.
     """
-    entries = [*_entries(configuration)]
-    for file, name, reason in entries:
-        if not reason:
-            raise TargetError(
-                f"{file}: {name} is accepted without a reason: state why it is right"
-            )
-    reasons = {name: reason for _, name, reason in entries}
+    reasons = {name: reason for _, name, reason in accepted}
     flags = [result for result in results if result.verdict.is_off]
     findings = {name for flag in flags for name in (flag.id, *_elements(flag))}
     left_out = {*selection()} - {result.id for result in results}
-    notes = tuple(
-        f"{file}: {name} accepts no finding: {nearest(name, findings)}"
-        for file, name, _ in entries
+    notes = [
+        f"{file}: {name} accepts no finding; {_others(name, findings)}"
+        for file, name, _ in accepted
         if name not in findings and name.partition(":")[0] not in left_out
-    )
-    return [replace(r, accepted=_reason(r, reasons)) for r in results], notes
+    ]
+    for flag in flags:
+        left = [name for name in _elements(flag) if name not in reasons]
+        if flag.id not in reasons and 0 < len(left) < len(_elements(flag)):
+            notes.append(f"{flag.id} stays: no reason accepts {first_names(left)}")
+    return [replace(r, accepted=_reason(r, reasons)) for r in results], tuple(notes)
 
 
-def _entries(configuration: TrainingConfiguration) -> Iterator[tuple[str, str, str]]:
-    """Yield file, name of a finding as `density` or `density:finger_l`, and the reason of each entry."""
-    robot = configuration.robot
-    if robot is not None and robot.text is not None:
-        for file, text in robot.text.texts.items():
-            yield from ((file.name, *entry) for entry in COMMENT.findall(text))
-    if FILE.is_file():
-        try:
-            table = tomllib.loads(FILE.read_text(encoding="utf-8"))
-            accepted = table.get("sanity", {}).get("accept", {}).items()
-        except (ValueError, AttributeError) as error:
-            raise TargetError(f"{FILE}: {error}") from None
-        yield from ((str(FILE), *entry) for entry in accepted)
+def _others(name: str, findings: set[str]) -> str:
+    """Return a sentence with the other elements of a check that have findings, or with the nearest findings."""
+    check = name.partition(":")[0]
+    same = sorted(other for other in findings if other.startswith(f"{check}:"))
+    if same or not findings:
+        return f"findings: {first_names(same)}"
+    return nearest(name, findings)
 
 
 def _elements(result: SanityResult) -> list[str]:

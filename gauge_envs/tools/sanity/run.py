@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 from gauge_envs.registry import package_versions
-from gauge_envs.tools.sanity.causes import absorb, accept
+from gauge_envs.tools.sanity.causes import absorb, accept, entries
 from gauge_envs.tools.sanity.fixes.fix import FixSearch
 from gauge_envs.tools.sanity.fixes.named import with_fixes
 from gauge_envs.tools.sanity.object_checks.measure import Measurements
@@ -43,13 +43,14 @@ def check(
     """
     configuration = configuration_of(target)
     chosen = selection(only)
+    accepted = entries(configuration)
     measurements = Measurements(configuration.backend)
     results = []
     for name in chosen:
         results.append(check_result(measurements, configuration, name))
         if notify is not None:
             notify(results[-1])
-    results, notes = accept(results, configuration)
+    results, notes = accept(results, accepted)
     results = absorb(results)
     robot = configuration.robot if explain else None
     if robot is not None:

@@ -1,12 +1,14 @@
 """Recipes of fabrics: stiffness by the law of an engine, a simulated strip, and a snippet in plain MuJoCo."""
 
 import json
+import re
 import tomllib
 from dataclasses import replace
 
 import mujoco
 import numpy as np
 import pytest
+from places import ROOT
 from scipy.integrate import solve_bvp
 
 from gauge_envs.errors import ParameterError
@@ -47,6 +49,25 @@ def test_isaac_has_a_shear_stiffness_but_no_simulation():
     assert recipe.reached["shear_n_per_m"] == pytest.approx(shear, rel=1e-6)
     assert recipe.reached["bend_n_m"] is None and not recipe.diverges
     assert "does not simulate" in recipe.explanation
+
+
+def test_the_page_has_the_shear_stiffness_of_the_published_mappings():
+    """Over the measured one: K / (2 (1 + nu)) of an isotropic sheet, K / 2 of springs along both diagonals."""
+    text = (ROOT / "docs" / "recipes.md").read_text()
+    rows = dict(re.findall(r"^\| (Newton|Isaac Sim|Genesis) \| (.*) \|$", text, re.M))
+    for column, fabric in enumerate(fabrics("TextileFlinging").values()):
+        stretch = fabric.stretch_stiffness_n_per_m
+        mapped = fabric_constants(fabric)
+        poisson = mapped["isaac"].constants["poissons_ratio"]
+        shear = {
+            "Newton": mapped["newton"].constants["tri_ke"],
+            "Isaac Sim": stretch / (2.0 * (1.0 + poisson)),
+            "Genesis": stretch / 2.0,
+        }
+        for name, row in rows.items():
+            shown = float(row.split(" | ")[column])
+            ratio = shear[name] / fabric.shear_stiffness_n_per_m
+            assert shown == pytest.approx(ratio, rel=0.02)
 
 
 @pytest.mark.slow

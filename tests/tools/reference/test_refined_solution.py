@@ -9,11 +9,17 @@ from places import ROOT
 from texts import changed_text
 
 from gauge_envs import load_experiment, reference_band
+from gauge_envs.backends.mujoco import BackendMuJoCo
 from gauge_envs.experiments.variants import task_path
 from gauge_envs.references.band import load_band, read_band_file
 from gauge_envs.runs.episodes import run_episode
 from gauge_envs.runs.request import RunRequest
-from gauge_envs.tools.reference.solution import length, solution, write_solution
+from gauge_envs.tools.reference.solution import (
+    length,
+    solution,
+    stiffer_contacts,
+    write_solution,
+)
 
 NAME = "CrateSlide-pine"
 FILE = f"{NAME}.band.toml"
@@ -70,6 +76,36 @@ def test_u_covers_the_true_error_and_the_reference_scores_runs(
     assert solves() == "yes"
     # Semi-implicit steps fall by a relative h / t too far, here more than 2 %.
     assert solves(timestep_s=1 / 180) == ("no" if change is falling else "yes")
+
+
+@pytest.mark.parametrize("material", ["wood", "plastic"])
+def test_u_covers_the_creep_of_soft_contacts(material, gauge, tmp_path):
+    """Coulomb's law holds a cube on a slow turntable; in MuJoCo it creeps outward."""
+    name = f"Turntable-1-{material}"
+    done = gauge("reference", name, "--out", str(tmp_path))
+    assert "half the softness of contacts" in " ".join(done.stderr.split())
+    assert "softness" not in done.stdout
+    solved, exact = np.load(tmp_path / f"{name}.band.npz"), load_band(name)
+    u_mm = exact.length(solved["uncertainty"])
+    assert exact.length(solved["mean"] - exact.mean) <= 1.96 * u_mm
+    assert u_mm < 0.002 * exact.zero_motion_distance
+
+
+def test_an_engine_without_a_softness_of_contacts_leaves_it_out(
+    crate, gauge, monkeypatch
+):
+    monkeypatch.setattr(BackendMuJoCo, "contact_softness", {})
+    stdout = gauge("reference", "crate.toml").stdout
+    assert "softness of contacts, tolerance" in " ".join(stdout.split())
+
+
+def test_the_softness_of_both_formats_of_solref():
+    """(time constant T, ratio) has the stiffness 1 / T^2 and the damping 2 / T of the direct format."""
+    settings = {"sustained_solref": (0.02, 1.0), "contact_solref": (-2500.0, -100.0)}
+    request = RunRequest("SlopeSlider-2-wood", settings=settings)
+    stiffer = stiffer_contacts(run_episode(request), request.experiment().scene)
+    assert stiffer["sustained_solref"] == [0.01, 1.0]
+    assert stiffer["contact_solref"] == [-10000.0, -200.0]
 
 
 def test_a_coarse_reference_cannot_tell(crate, gauge):

@@ -208,6 +208,12 @@ def arm(mesh="tetra.obj", geom='size=".1"', more=""):
             "<robot xmlns:xacro='x'><link name='b'><inertial><mass value='${m}'/></inertial></link></robot>",
             r"run xacro a\.urdf > robot\.urdf",
         ),
+        ("a.toml", "backend = 3", "backend: 3, and a text is expected"),
+        (
+            "a.toml",
+            'backend = "mujoco"\npreset = 3',
+            "preset: 3, and a text is expected",
+        ),
         ("a.toml", 'backend = "mujoco"\n[settings]\ncone = "round"', "given: 'round'"),
     ],
 )

@@ -236,10 +236,9 @@ def test_a_finding_is_accepted_with_a_reason(tmp_path, monkeypatch):
         ("inertia:link", None),
         (
             "density:links",
-            "density:links accepts no finding: did you mean density:link",
+            "density:links accepts no finding; findings: density:link",
         ),
-        ("density:arm", "density:arm accepts no finding: did you mean density"),
-        ("densty", "densty accepts no finding: did you mean density"),
+        ("density:arm", "density:arm accepts no finding; findings: density:link"),
     ],
 )
 def test_an_entry_that_accepts_nothing_is_said_with_its_file(
@@ -258,6 +257,76 @@ def test_an_entry_that_accepts_nothing_is_said_with_its_file(
             [True] if note else []
         )
         assert bool(note) == ("note:" in found.screen)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ('[sanity.accept]\ndensty = "x"', "unknown check 'densty'; did you mean den"),
+        ('[sanity.accept]\n"densty:link" = "x"', "unknown check 'densty'"),
+        ('[sanity.accpet]\ndensity = "x"', "sanity.accpet: unknown key; write"),
+        ('[accept]\ndensity = "x"', "accept: unknown key; write"),
+        ('[Sanity.accept]\ndensity = "x"', "Sanity: unknown key; write"),
+        ('density = "x"', "density: unknown key; write"),
+        ("sanity = 3", "sanity: .* valid dictionary"),
+        ('[sanity]\naccept = "density"', "sanity.accept: .* valid dictionary"),
+        ('[sanity]\naccept = ["density"]', "sanity.accept: .* valid dictionary"),
+        ("[sanity.accept]\ndensity = 3", "sanity.accept.density: .* valid string"),
+        ("[sanity.accept]\ndensity = true", "sanity.accept.density: .* valid string"),
+        ('[sanity.accept]\ndensity.link = "x"', "accept.density: .* valid string"),
+        ('[sanity.accept]\ndensity = " "', "density is accepted without a reason"),
+        ("[sanity.accept\n", "not a TOML file"),
+        ("<!-- gauge: acept density: x -->", '"gauge: acept density: x" is not read'),
+        ("<!-- gauge: ignore density -->", '"gauge: ignore density" is not read'),
+        ("<!-- gauge: accept densty: x -->", "unknown check 'densty'"),
+        ("<!-- gauge: accept density -->", "density is accepted without a reason"),
+    ],
+)
+def test_an_entry_that_cannot_be_read_is_an_error(tmp_path, monkeypatch, text, message):
+    monkeypatch.chdir(tmp_path)
+    is_comment = text.startswith("<")
+    if not is_comment:
+        (tmp_path / "gauge.toml").write_text(text)
+    with pytest.raises(TargetError, match=message):
+        density_of(tmp_path, text * is_comment + HEAVY)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "[sanity]",
+        "[sanity.accept]",
+        '[sanity.accept]\n"density:link" = "a weight"',
+        '[sanity.accept]\n"density:link" = "a weight"\nmirror = "one arm"',
+        "<!--gauge:accept density:link: a weight-->",
+        "<!-- Gauge: accept density: a weight\n of lead -->",
+        "<!-- a gauge: of steel -->",
+    ],
+)
+def test_an_entry_in_any_form_of_its_file_is_read(tmp_path, monkeypatch, text):
+    monkeypatch.chdir(tmp_path)
+    is_comment = text.startswith("<")
+    if not is_comment:
+        (tmp_path / "gauge.toml").write_text(text)
+    found = density_of(tmp_path, text * is_comment + HEAVY)
+    assert bool(found.accepted) == ("density" in text)
+
+
+def test_a_finding_with_one_element_accepted_says_which_are_left(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    link = """<body name="{0}" pos="{1} 0 1"><joint name="{0}" axis="0 1 0"/>
+      <geom name="{0}" size=".05" mass="50"/></body>"""
+    bodies = link.format("link", 0) + link.format("other", 2)
+    motors = '<motor joint="link"/><motor joint="other"/>'
+    xml = (
+        f"<mujoco><worldbody>{bodies}</worldbody><actuator>{motors}</actuator></mujoco>"
+    )
+    (tmp_path / "gauge.toml").write_text('[sanity.accept]\n"density:link" = "lead"')
+    assert check_of(tmp_path, HEAVY, "density").notes == ()
+    report = check_of(tmp_path, xml, "density")
+    assert report.notes == ("density stays: no reason accepts density:other",)
+    assert [*report.flags] == ["density"]
 
 
 def test_a_cause_has_its_effects_and_a_failed_assertion_shows_the_screen(tmp_path):

@@ -47,6 +47,11 @@ def read_settings(path: Path, values: Any) -> TrainingConfiguration:
     faults = [f"{key}: unknown key" for key in values if key not in KEYS]
     if "backend" not in values:
         faults.append("backend: missing key")
+    faults += [
+        f"{key}: {values[key]!r:.80}, and a text is expected"
+        for key in ("backend", "preset")
+        if not isinstance(values.get(key, ""), str)
+    ]
     if faults:
         raise TargetError(f"{path}: {faults[0]}; keys: {', '.join(KEYS)}")
     settings = values.get("settings") or {}
