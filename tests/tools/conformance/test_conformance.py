@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from faults import FAULTS, Fault, Faulty, Planted
 
-from gauge_envs.backends import Repeatability, Support, backend
+from gauge_envs.backends import LoopedSimulation, Repeatability, Support, backend
 from gauge_envs.errors import BackendError, UnknownNameError
 from gauge_envs.scene import Box, Motion
 from gauge_envs.tools.conformance import (
@@ -236,6 +236,24 @@ def test_runs_may_differ_as_an_engine_declares(kind, is_bad):
     engine.repeatability = lambda settings=None: declared
     (result,) = run_checks(engine, only=["determinism"])
     assert result.is_bad == is_bad
+
+
+class LastWorldRounds(LoopedSimulation):
+    """Adds to the last of several worlds in another order."""
+
+    def advance(self, seconds):
+        super().advance(seconds)
+        self._simulations[-1].data.qvel[0] += 1e-12 * (self.world_count > 1)
+
+
+@pytest.mark.parametrize(("kind", "is_bad"), [("bits", True), ("statistical", False)])
+def test_worlds_that_start_alike_are_equal_as_an_engine_declares(kind, is_bad):
+    engine = Faulty(MUJOCO, Fault(worlds=LastWorldRounds))
+    declared = Repeatability(kind=kind, start_error=0.0 if kind == "bits" else 1e-6)
+    engine.repeatability = lambda settings=None: declared
+    (result,) = run_checks(engine, only=["worlds-single"])
+    assert result.is_bad == is_bad
+    assert ("world 15, which starts and moves as world 0" in result.diagnosis) == is_bad
 
 
 # --- errors and unsupported scenes of engines ------------------------------------------------------------------------
