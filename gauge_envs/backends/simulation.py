@@ -81,6 +81,15 @@ class Simulation(ABC):
             f"{type(self).__name__} does not drive bodies: implement drive"
         )
 
+    def prepared(self, body: str, targets: FloatArray) -> Callable[[int], None]:
+        """Return a function that drives a body in one of several intervals, whose number it gets.
+
+        Args:
+            body: Name of a kinematic body.
+            targets: Targets of `drive` in each interval, shape [count, N, 19].
+        """
+        return lambda interval: self.drive(body, targets[interval])
+
     @abstractmethod
     def advance(self, seconds: float) -> None:
         """Simulate an interval [s] in all worlds. Environments pass 1/180 s."""
@@ -94,7 +103,7 @@ class Simulation(ABC):
         """
 
     def body_positions(self, names: Sequence[str]) -> FloatArray:
-        """Return the current positions of rigid bodies [m], shape [N, len(names), 3]; environments read them most."""
+        """Return the current positions of rigid bodies [m], shape [N, len(names), 3]; `advance` may overwrite them."""
         return self.body_states(names)[:, :, :3]
 
     def nodes(self, name: str) -> FloatArray:

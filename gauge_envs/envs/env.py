@@ -222,7 +222,7 @@ class GaugeEnv(GuardedEnv, gymnasium.Env[Observation, Any]):
         rollout.step(checked[None])
         self._show()
         terminated = 0 in rollout.diverged
-        truncated = bool(rollout.is_complete[0]) and not terminated
+        truncated = bool(rollout.is_over[0]) and not terminated
         reward = float(self.references.rewards()[0])
         return self._observation(), reward, terminated, truncated, self._info()
 
@@ -232,8 +232,9 @@ class GaugeEnv(GuardedEnv, gymnasium.Env[Observation, Any]):
 
     def _info(self) -> dict[str, Any]:
         rollout = self.rollout
-        info = {"frame": int(rollout.frames[0]), "time_s": float(rollout.times_s[0])}
-        return {**info, **rollout.info(0), "reference": self.references.kind(0)}
+        frame = int(rollout.frames[0])
+        info = {"frame": frame, "time_s": frame / FRAME_RATE_HZ, **rollout.info(0)}
+        return {**info, "reference": self.references.kind(0)}
 
     @one_thread
     def trajectory(self) -> Trajectory:

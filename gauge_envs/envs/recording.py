@@ -70,28 +70,26 @@ class EpisodeRecording:
             self._observer = ObserverMarkers(
                 scene, observable, simulation, marker_proxy
             )
-        points_shape = self._observer.read(simulation).shape
-        self._points_m = np.empty((SAMPLES_PER_FRAME, *points_shape))
+        read_m = self._observer.read(simulation)
+        self._read_m = np.empty((SAMPLES_PER_FRAME, *read_m.shape))
+        point_shape = self._observer.points(read_m).shape[1:]
         rows = (experiment.frame_count, simulation.world_count)
-        sample_count = (experiment.frame_count - 1) * SAMPLES_PER_FRAME + 1
-        self._samples = np.full((sample_count, rows[1], self._observer.width), np.nan)
+        # A frame has the samples of its six intervals; frame 0 has only its start, as the last.
+        self._points_m = np.full((*rows, SAMPLES_PER_FRAME, *point_shape), np.nan)
         self._bodies = np.full((*rows, len(self._recorded), 13), np.nan)
-        self._markers_m = np.full((*rows, self._observer.marker_count, 3), np.nan)
-        self._drivers = np.full((*rows, len(self._driven), 13), np.nan)
         self._frames = frames
-        self._worlds = np.arange(rows[1])
+        # What observations contain of the last frame of each world.
+        self._last: dict[str, FloatArray] = {}
 
     def start(self, worlds: BoolArray) -> None:
         """Record frame 0 of worlds, shape [N], and forget their episodes before."""
-        points_m = self._observer.read(self._simulation)[None]
-        g, markers_m = self._observer.observe(points_m)
-        self._samples[0, worlds] = g[0, worlds]
-        self._markers_m[0, worlds] = markers_m[0, worlds]
-        self._record_states(worlds)
+        points_m = self._observer.points(self._observer.read(self._simulation))
+        self._points_m[0, worlds, -1] = points_m[worlds]
+        self._record(worlds, points_m)
 
     def read_points(self, interval: int) -> None:
         """Read the observed points after an interval of a frame, from 0 to 5."""
-        self._points_m[interval] = self._observer.read(self._simulation)
+        self._read_m[interval] = self._observer.read(self._simulation)
 
     def end_frame(self, is_running: BoolArray) -> FloatArray:
         """Record the current frame of worlds after its six intervals.
@@ -102,58 +100,56 @@ class EpisodeRecording:
         Returns:
             States of the dynamic bodies, shape [N, body_count, 13].
         """
-        g, markers_m = self._observer.observe(self._points_m)
-        worlds, frames = self._worlds[is_running], self._frames[is_running]
-        before = np.arange(1 - SAMPLES_PER_FRAME, 1)[:, None]
-        self._samples[frames * SAMPLES_PER_FRAME + before, worlds] = g[:, worlds]
-        self._markers_m[frames, worlds] = markers_m[-1, worlds]
-        return self._record_states(is_running)
+        points_m = self._observer.points(self._read_m)
+        self._put(self._points_m, is_running, points_m.swapaxes(0, 1))
+        return self._record(is_running, points_m[-1])
 
-    def _record_states(self, chosen: BoolArray) -> FloatArray:
-        """Record the states of worlds, and return those of all dynamic bodies, shape [N, body_count, 13]."""
+    def _record(self, chosen: BoolArray, points_m: FloatArray) -> FloatArray:
+        """Record the frame of worlds, and return the states of all dynamic bodies, shape [N, body_count, 13]."""
         states = self._simulation.body_states(self._dynamic)
-        worlds, frames = self._worlds[chosen], self._frames[chosen]
-        self._bodies[frames, worlds] = states[worlds].take(self._recorded, axis=1)
+        bodies = states.take(self._recorded, axis=1)
+        self._put(self._bodies, chosen, bodies)
+        g = self._observer.observe(points_m)
+        last = {"observable": g, "bodies": bodies, "markers": points_m.copy()}
         if self._driven:
-            driven = self._simulation.body_states(self._driven)
-            self._drivers[frames, worlds] = driven[worlds]
+            last["driver"] = self._simulation.body_states(self._driven)
+        if self._last and not chosen.all():
+            for name, rows in last.items():
+                rows[~chosen] = self._last[name][~chosen]
+        self._last = last
         return states
 
+    def _put(self, history: FloatArray, chosen: BoolArray, rows: FloatArray) -> None:
+        """Write rows of worlds, shape [N, ...], to a history at their frames, shape [frame_count, N, ...]."""
+        if chosen.all() and len(set(self._frames.tolist())) == 1:
+            # A slice is faster than indices.
+            history[self._frames[0]] = rows
+        else:
+            history[self._frames[chosen], np.flatnonzero(chosen)] = rows[chosen]
+
     def compared(self) -> tuple[FloatArray, FloatArray]:
-        """Return g(t) now, shape [N, coordinate_count], and the markers [m], shape [N, marker_count, 3]."""
-        return self._last(self._samples[::SAMPLES_PER_FRAME]), self._last(
-            self._markers_m
-        )
+        """Return g(t) now, shape [N, coordinate_count], and the observed points [m], shape [N, point_count, 3]."""
+        return self._last["observable"], self._last["markers"]
 
     def observation(self) -> Observation:
         """Return the observations of all worlds in new arrays; a world that has ended keeps its last observation."""
-        observation = {
-            "observable": self._last(self._samples[::SAMPLES_PER_FRAME]),
-            "time": self._frames[:, None] / FRAME_RATE_HZ,
-        }
-        if self._recorded:
-            observation["bodies"] = self._last(self._bodies)
-        else:
-            observation["markers"] = self._last(self._markers_m)
-        if self._driven:
-            observation["driver"] = self._last(self._drivers)
+        seen = "bodies" if self._recorded else "markers"
+        names = ("observable", seen, "driver") if self._driven else ("observable", seen)
+        observation = {name: self._last[name].copy() for name in names}
+        observation["time"] = self._frames[:, None] / FRAME_RATE_HZ
         return observation
-
-    def _last(self, rows: FloatArray) -> FloatArray:
-        """Return the last frame of each world in a new array, from rows of shape [frame_count, N, ...]."""
-        return np.asarray(rows[self._frames, self._worlds])
 
     def trajectory(self, world: int = 0) -> Trajectory:
         """Return the recorded motion of a world so far."""
-        frame = int(self._frames[world])
-        end = frame * SAMPLES_PER_FRAME + 1
-        samples = self._samples[:end, world].copy()
+        end = int(self._frames[world]) + 1
+        points_m = self._points_m[:end, world]
+        samples = self._samples(points_m[None])[0]
         return Trajectory(
-            times_s=np.arange(end, dtype=np.float64) * SAMPLE_INTERVAL_S,
+            times_s=np.arange(len(samples), dtype=np.float64) * SAMPLE_INTERVAL_S,
             samples=samples,
             frames=samples[::SAMPLES_PER_FRAME],
-            bodies=self._bodies[: frame + 1, world].copy(),
-            markers_m=self._markers_m[: frame + 1, world].copy(),
+            bodies=self._bodies[:end, world].copy(),
+            markers_m=points_m[:, -1, : 0 if self._recorded else None].copy(),
         )
 
     def trajectories(self) -> tuple[FloatArray, FloatArray]:
@@ -161,8 +157,12 @@ class EpisodeRecording:
 
         Samples after the end of a world are NaN.
         """
-        numbers = np.arange(len(self._samples))
-        is_reached = numbers[:, None] <= self._frames * SAMPLES_PER_FRAME
-        samples = np.where(is_reached[:, :, None], self._samples, np.nan)
-        times_s = SAMPLE_INTERVAL_S * numbers.astype(np.float64)
-        return times_s, samples.transpose(1, 0, 2)
+        samples = self._samples(self._points_m.swapaxes(0, 1))
+        numbers = np.arange(samples.shape[1])
+        samples[numbers > self._frames[:, None] * SAMPLES_PER_FRAME] = np.nan
+        return SAMPLE_INTERVAL_S * numbers.astype(np.float64), samples
+
+    def _samples(self, points_m: FloatArray) -> FloatArray:
+        """Return g(t), shape [N, S, width], from points [m] of shape [N, frame_count, 6, point_count, 3]."""
+        samples_m = points_m.reshape(len(points_m), -1, *points_m.shape[-2:])
+        return self._observer.observe(samples_m[:, SAMPLES_PER_FRAME - 1 :])

@@ -84,13 +84,13 @@ def intervals(
         actions: Actions of each motion in all of these intervals, shape [N, motion_count].
         interval_s: Length of an interval [s].
     """
-    targets = [
-        motion.targets(first, action, count)
+    drives = [
+        simulation.prepared(motion.body, motion.targets(first, action, count))
         for motion, action in zip(motions, actions, strict=True)
     ]
     for index in range(count):
-        for motion, rows in zip(motions, targets, strict=True):
-            simulation.drive(motion.body, rows[index])
+        for drive in drives:
+            drive(index)
         simulation.advance(interval_s)
         yield index
 
@@ -143,6 +143,7 @@ class Rollout:
         frames: Number of the current frame of each world, shape [N].
         has_begun: Whether the worlds were reset.
         is_running: Which worlds the last step advanced, shape [N].
+        is_over: Which worlds have ended, shape [N].
         terminated: Which worlds have diverged, shape [N].
         diverged: Reason of each diverged world, by its number.
         initial_states: Initial state of each world; empty for the nominal ones.
@@ -168,10 +169,12 @@ class Rollout:
         self.frames = np.zeros(self.world_count, dtype=np.intp)
         self.has_begun = False
         self.is_running = np.ones(self.world_count, dtype=np.bool_)
+        self.is_over = np.zeros(self.world_count, dtype=np.bool_)
         self.terminated = np.zeros(self.world_count, dtype=np.bool_)
         self.diverged: dict[int, str] = {}
         self.initial_states: Sequence[InitialState] = ()
         self._experiments = experiments
+        self._last_frame = experiment.frame_count - 1
         self._dynamic = [body.name for body in scene.dynamic_bodies]
         driven = [driver.body for driver in scene.drivers]
         check_states(simulation, [*self._dynamic, *driven])
@@ -201,16 +204,6 @@ class Rollout:
     def motion_count(self) -> int:
         """Length of an action: the degrees of freedom of all driven bodies."""
         return sum(motion.motion_count for motion in self._motions)
-
-    @property
-    def is_complete(self) -> BoolArray:
-        """Which worlds are at their last frame, shape [N]."""
-        return np.asarray(self.frames == self.experiment.frame_count - 1)
-
-    @property
-    def is_over(self) -> BoolArray:
-        """Which worlds have ended, shape [N]."""
-        return self.terminated | self.is_complete
 
     # --- frames ---
 
@@ -246,7 +239,7 @@ class Rollout:
         self.frames[worlds] = 0
         for world in np.flatnonzero(worlds & self.terminated).tolist():
             del self.diverged[world]
-        self.terminated[worlds] = False
+        self.terminated[worlds] = self.is_over[worlds] = False
         self._recorder.start(worlds)
 
     def step(self, actions: FloatArray | None = None) -> None:
@@ -275,12 +268,13 @@ class Rollout:
             self._recorder.read_points(index)
             yield index
         self.is_running = ~self.is_over
-        self.frames[self.is_running] += 1
+        self.frames += self.is_running
         states = self._recorder.end_frame(self.is_running)
         for world, reason in self.divergences(states).items():
             if self.is_running[world]:
                 self.diverged[world] = reason
                 self.terminated[world] = True
+        self.is_over = self.terminated | (self.frames == self._last_frame)
 
     def play(self, observe: Callable[[int], None] = lambda _: None) -> None:
         """Simulate all episodes to their end without actions.

@@ -454,7 +454,7 @@ class GaugeVectorEnv(WorldsEnv, VectorEnv[Any, Any, NDArray[Any]]):
         rollout = self.rollout
         rollout.step(actions)
         terminated = rollout.terminated.copy()
-        truncated = rollout.is_complete & ~terminated
+        truncated = rollout.is_over & ~terminated
         return self.references.rewards(), terminated, truncated
 
     def _observations(self) -> Observation:

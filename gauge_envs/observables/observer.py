@@ -40,31 +40,26 @@ class MarkerProxy(StrEnum):
 class Observer(Protocol):
     """Observer of one kind of generalized trajectory in N worlds.
 
-    It reads points of the simulation at each sample, and computes the samples of a frame from them in one pass.
+    It reads a simulation at each sample, and computes the observed points of many samples in one pass.
 
     Attributes:
         width: Number of coordinates of g(t).
-        marker_count: Number of markers; 0 for rigid bodies.
     """
 
     width: int
-    marker_count: int
 
     def read(self, simulation: Simulation) -> FloatArray:
-        """Return the points now [m], shape [N, point_count, 3]; the next interval may overwrite them."""
+        """Return what gives the points now [m], shape [N, count, 3]; the next interval may overwrite it."""
 
-    def observe(self, points_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return g(t), shape [S, N, width], and the markers [m], shape [S, N, marker_count, 3].
+    def points(self, read_m: FloatArray) -> FloatArray:
+        """Return the bodies or markers [m], shape [..., point_count, 3], from readings of shape [..., count, 3]."""
 
-        Args:
-            points_m: Points at S samples [m], shape [S, N, point_count, 3].
-        """
+    def observe(self, points_m: FloatArray) -> FloatArray:
+        """Return g(t) of points [m], shape [..., width]."""
 
 
 class ObserverPositions:
     """Observer of the positions of rigid bodies [mm]."""
-
-    marker_count = 0
 
     def __init__(self, names: Sequence[str]) -> None:
         self._names = tuple(names)
@@ -74,10 +69,13 @@ class ObserverPositions:
         """Return the positions of the bodies now [m]."""
         return simulation.body_positions(self._names)
 
-    def observe(self, points_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the positions, shape [S, N, width], and no markers."""
-        shape = points_m.shape[:2]
-        return 1e3 * points_m.reshape(*shape, self.width), np.empty((*shape, 0, 3))
+    def points(self, read_m: FloatArray) -> FloatArray:
+        """Return the positions themselves."""
+        return read_m
+
+    def observe(self, points_m: FloatArray) -> FloatArray:
+        """Return the positions [mm], shape [..., width]."""
+        return 1e3 * points_m.reshape(*points_m.shape[:-2], self.width)
 
 
 class ObserverMarkers:
@@ -124,12 +122,11 @@ class ObserverMarkers:
             self.indices, self.weights = material_points(targets_m, rest, deformables)
         if self._track is None:
             self._columns = np.flatnonzero(self.weights.any(axis=0)).tolist()
-        g, _ = self.observe(self.read(simulation)[None])
-        self.width = g.shape[2]
+        self.width = self.observe(self.markers(simulation)).shape[1]
 
     def markers(self, simulation: Simulation) -> FloatArray:
         """Return the markers now [m], shape [N, marker_count, 3]."""
-        return self.observe(self.read(simulation)[None])[1][0]
+        return self.points(self.read(simulation))
 
     def read(self, simulation: Simulation) -> FloatArray:
         """Return the tracked markers, or the nodes of all bodies with markers, now [m]."""
@@ -138,21 +135,21 @@ class ObserverMarkers:
         parts = [simulation.nodes(name) for name in self._bodies]
         return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)
 
-    def observe(self, points_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return g(t), shape [S, N, width], and the markers [m], shape [S, N, marker_count, 3]."""
-        markers_m = points_m if self._track else self._interpolated(points_m)
-        shape = markers_m.shape[:2]
-        g = self._formula(markers_m.reshape(-1, self.marker_count, 3))
-        return g.reshape(*shape, -1), markers_m
-
-    def _interpolated(self, nodes_m: FloatArray) -> FloatArray:
-        """Return the weighted nodes of each marker [m], shape [S, N, marker_count, 3]."""
-        markers_m = np.zeros((*nodes_m.shape[:2], self.marker_count, 3))
+    def points(self, read_m: FloatArray) -> FloatArray:
+        """Return the markers [m]: those read, or the weighted nodes of each."""
+        if self._track is not None:
+            return read_m
+        markers_m = np.zeros((*read_m.shape[:-2], self.marker_count, 3))
         # Cloth has three nodes for each marker, and a fourth without weight.
         for column in self._columns:
             weights = self.weights[:, column, None]
-            markers_m += weights * nodes_m.take(self.indices[:, column], axis=2)
+            markers_m += weights * read_m.take(self.indices[:, column], axis=-2)
         return markers_m
+
+    def observe(self, points_m: FloatArray) -> FloatArray:
+        """Return g(t) of markers [m], shape [..., width]."""
+        g = self._formula(points_m.reshape(-1, self.marker_count, 3))
+        return g.reshape(*points_m.shape[:-2], -1)
 
 
 def _tracker(

@@ -39,6 +39,11 @@ from gauge_envs.scoring.user_file.trajectory_file import (
 MAX_SIGMAS = 6.0
 """Largest deviation of the start of a trajectory, in standard deviations of its noise."""
 
+UNKNOWN_CONSTANTS = (
+    "the file does not state its constants: state them to know whether its simulator "
+    "solves the scene, as --parameter cube.friction=0.3"
+)
+
 LEVER_M = 1.0
 """Largest distance of a recorded point from the axis of a rotation by noise, in any experiment [m]."""
 
@@ -101,12 +106,14 @@ def score_file(
         )
     if unusual:
         score = replace(score, estimates={})
+    unknown: list[str] = []
     if origin.parameters is None and parameters is None:
         # The simulator of the file may have other constants than the exact motion.
         score = replace(score, exact=None, cause=None)
         is_other = score.solves is Answer.NO and not Kind(score.kind).is_solution
         if is_other:
             score = replace(score, solves=Answer.CANNOT_TELL)
+            unknown = [UNKNOWN_CONSTANTS]
     result = result_of(
         experiment,
         outcome=Outcome.FINISHED,
@@ -125,7 +132,7 @@ def score_file(
         ),
     )
     notes = _notes(experiment, band, origin, trajectory, frames)
-    return result, (*unusual, *notes)
+    return result, (*unusual, *unknown, *notes)
 
 
 def _notes(

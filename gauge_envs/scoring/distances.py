@@ -9,7 +9,7 @@ import numpy as np
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.references.band import Band
 from gauge_envs.references.published import PUBLISHED_TRIALS
-from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene.geometry import BoolArray, FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.scoring.answers import (
     baseline_means,
@@ -22,7 +22,7 @@ from gauge_envs.scoring.answers import (
     united,
     within,
 )
-from gauge_envs.scoring.exact import exact_motion
+from gauge_envs.scoring.exact import exact_motion, law_holds
 from gauge_envs.scoring.interval import (
     distance_interval,
     distances_without,
@@ -196,8 +196,10 @@ def _from_exact(score: Score, motion: ComparedMotion) -> Score:
     if places is None or samples is None:
         return score
     exact = band.project(places)
-    size = trajectory_rmse(exact, np.broadcast_to(exact[:1], exact.shape))
-    distance = trajectory_rmse(frames, exact)
+    holds = law_holds(experiment, places, band)
+    path = exact[holds]
+    size = trajectory_rmse(path, np.broadcast_to(path[:1], path.shape))
+    distance = trajectory_rmse(frames[holds], path)
     of_trials = None
     if score.distance and score.primary_normalized:
         of_trials = score.distance / score.primary_normalized
@@ -212,7 +214,9 @@ def _from_exact(score: Score, motion: ComparedMotion) -> Score:
         return score
     from_trials = trajectory_rmse(exact, band.mean)
     if score.time_offset_s is not None:
-        distance = _distance_from_exact(experiment, band, frames, score.time_offset_s)
+        distance = _distance_from_exact(
+            experiment, band, frames, holds, score.time_offset_s
+        )
         # Both shifts interpolate between the same samples.
         _, from_trials = time_offset(motion.times_s, band.project(samples), band.mean)
     assert score.distance is not None and score.real_limit is not None, "as documented"
@@ -225,7 +229,11 @@ def _from_exact(score: Score, motion: ComparedMotion) -> Score:
 
 
 def _distance_from_exact(
-    experiment: Experiment, band: Band, frames: FloatArray, time_offset_s: float
+    experiment: Experiment,
+    band: Band,
+    frames: FloatArray,
+    holds: BoolArray,
+    time_offset_s: float,
 ) -> float:
     """Return the RMSE of a motion to the exact motion after the best time shift, in the unit of the reference.
 
@@ -235,11 +243,12 @@ def _distance_from_exact(
         experiment: Experiment with an exact motion.
         band: The reference.
         frames: The motion at the 30 Hz frames in the coordinates of the reference, shape [T, C].
+        holds: Frames at which the law holds, shape [T].
         time_offset_s: Time shift of the motion to the trials [s]. Frames that this shift moves beyond the end of the
             trials do not count, as in the score.
     """
     times_s = np.arange(len(frames)) / FRAME_RATE_HZ
-    is_compared = times_s <= times_s[-1] - max(time_offset_s, 0.0)
+    is_compared = holds & (times_s <= times_s[-1] - max(time_offset_s, 0.0))
 
     def shifted_rmse(offset_s: FloatArray) -> FloatArray:
         queries_s = times_s[is_compared] - offset_s[..., None]

@@ -12,7 +12,7 @@ import numpy as np
 
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.observables.kinds import Observable
-from gauge_envs.references.band import Band
+from gauge_envs.references.band import Band, ExactLaw
 from gauge_envs.scene import ContactMode
 from gauge_envs.scene.geometry import BoolArray, FloatArray, length_of
 from gauge_envs.scene.scene import GRAVITY_M_PER_S2
@@ -24,6 +24,7 @@ from gauge_envs.scoring.estimators import (
     first_bounce,
     slide_friction,
 )
+from gauge_envs.scoring.exact import law_holds
 from gauge_envs.scoring.interval import COVERAGE_FACTOR
 
 MIN_SAMPLES = 4
@@ -46,6 +47,9 @@ IMPACT_WINDOW_S = 1.0 / 60.0
 
 IMPACT_SHARE = 0.1
 """Smallest change of velocity in an impact, over the largest; the second impact has e times the change of the first."""
+
+REST_MM = 2.0
+"""Path below which a body has not slid [mm]: the law does not hold before the release."""
 
 LARGEST_DAMPING_RATIO = 0.5
 """Damping ratio above which a body creeps: each half swing is less than a sixth of the previous one."""
@@ -180,6 +184,15 @@ def _of_free_body(
         restitution = _rebound(band, times_s, band.project(values), gravity)
         if restitution is not None:
             return {"restitution": _measured(_real_restitution(band), restitution, 0.0)}
+    holds = law_holds(experiment, values, band)
+    if holds[0]:
+        times_s, values = times_s[holds], values[holds]
+    path_mm = length_of(values[-1] - values[0])
+    is_slide = band.exact_law is ExactLaw.COULOMB_SLIDE
+    real, error = _real_friction(band) if is_slide else (None, None)
+    if real is not None and path_mm < REST_MM:
+        none = ComparedQuantity(value=None, unit="1", real=real, real_uncertainty=error)
+        return {"friction": none}
     # Motion across the slide is not of a slide from rest.
     if not modes or not is_uniformly_accelerated(times_s, values):
         return {}
@@ -227,9 +240,9 @@ def _friction(
 ) -> tuple[float, float]:
     """Return the friction of a path down a slope from 0, mu = (g sin - a) / (g cos), and its standard error.
 
-    The fit uses only samples after 2 mm of travel, because the law does not hold before the release.
+    The fit uses only samples after `REST_MM` of travel.
     """
-    moving = path_mm > 2.0
+    moving = path_mm > REST_MM
     if moving.sum() < MIN_SAMPLES:
         moving[:] = True
     path = times_s[moving], 1e-3 * path_mm[moving]

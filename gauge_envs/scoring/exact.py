@@ -14,7 +14,7 @@ import numpy as np
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.references.band import Band, ExactLaw
 from gauge_envs.scene import Box, Contact, Motion, Plane, RigidBody, Scene, Sphere
-from gauge_envs.scene.geometry import FloatArray, length_of
+from gauge_envs.scene.geometry import BoolArray, FloatArray, length_of
 from gauge_envs.scoring.reference import reference_band
 
 CONTACT_TOLERANCE_M = 1e-4
@@ -55,6 +55,22 @@ def exact_motion(
     return None if positions_m is None else 1e3 * positions_m
 
 
+def law_holds(experiment: Experiment, places_mm: FloatArray, band: Band) -> BoolArray:
+    """Return where a closed form holds on its path [mm], shape [S]: a slide ends as the box leaves its board."""
+    scene = experiment.scene
+    body = scene.body(experiment.recorded[0])
+    holds = np.ones(len(places_mm), dtype=np.bool_)
+    if band.exact_law is ExactLaw.COULOMB_SLIDE and isinstance(body.shape, Box):
+        reach_m = 0.5 * max(body.shape.size_m) + CONTACT_TOLERANCE_M
+        for board, _ in _supports(scene, body, Box):
+            is_on = _normal_of_rest(board, body) is not None
+            if isinstance(board.shape, Box) and is_on:
+                centres_m = np.abs(board.pose.to_body(1e-3 * places_mm))
+                outside_m = centres_m - 0.5 * np.array(board.shape.size_m)
+                holds &= (outside_m <= reach_m).all(axis=1)
+    return holds
+
+
 def coulomb_slide(
     scene: Scene, body: RigidBody, times_s: FloatArray
 ) -> FloatArray | None:
@@ -64,7 +80,7 @@ def coulomb_slide(
     m g sin(theta) of the weight: the box slides by g (sin(theta) - mu cos(theta)) t^2 / 2 along the steepest descent.
 
     The box sticks if mu >= tan(theta). It must lie flat on a face of the board with its centre over it, else the answer
-    is None. It does not tip, and the board has no end.
+    is None. It does not tip, and the board has no end: see `law_holds`.
     """
     if not body.starts_at_rest:
         return None

@@ -7,12 +7,14 @@ import inspect
 import json
 import re
 import shlex
+import tomllib
 from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
 from places import ROOT
 from programs import printed
+from scipy.stats import t
 from texts import command_of, fenced, parse, without_blocks
 from typer.testing import CliRunner
 
@@ -200,6 +202,64 @@ def test_commands_have_the_options_that_are_shown(page):
         parse(words)
 
 
+# A page that needs a file of the reader: `check_scores_of_written_files` and the tests of these commands make one.
+NEEDS_OWN_FILES = {
+    "getting_started.md",
+    "replay.md",
+    "what_changed.md",
+    "world_models.md",
+}
+SCREENS = [
+    (page, command, screen)
+    for page in PAGES
+    if page.name not in NEEDS_OWN_FILES
+    for command, screen in re.findall(
+        r"^gauge (.*)\n```\n\n```text\n((?:.*\n)*?)```$", page.read_text(), re.MULTILINE
+    )
+]
+
+
+def tokens(text):
+    """Numbers, words and signs of a text."""
+    return re.findall(r"[-+]?\d+(?:\.\d+)?(?:e[-+]\d+)?|[^\W\d]+|[^\w\s]", text)
+
+
+def is_alike(shown, word):
+    """Whether a word is the one that is shown, or a number that differs by at most 5 %."""
+    try:
+        return float(word) == pytest.approx(float(shown), rel=0.05)
+    except ValueError:
+        return word == shown
+
+
+@pytest.mark.parametrize(
+    ("page", "command", "screen"),
+    [
+        pytest.param(
+            page,
+            command,
+            screen,
+            id=command,
+            marks=[pytest.mark.slow] if command.startswith("replay") else [],
+        )
+        for page, command, screen in SCREENS
+    ],
+)
+def test_commands_print_the_screens_that_are_shown(
+    page, command, screen, tmp_path, monkeypatch
+):
+    """A line `...` stands for any lines."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "examples").symlink_to(ROOT / "examples", target_is_directory=True)
+    rest = tokens(CliRunner().invoke(app, shlex.split(command)).stdout)
+    for part in screen.split("...\n"):
+        shown = tokens(part)
+        places = range(len(rest) - len(shown) + 1)
+        place = next((i for i in places if all(map(is_alike, shown, rest[i:]))), None)
+        assert place is not None, (part, rest)
+        rest = rest[place + len(shown) :]
+
+
 NOTEBOOKS = sorted((ROOT / "examples" / "notebooks").glob("*.ipynb"))
 
 
@@ -315,3 +375,53 @@ def test_the_contacts_of_engines_are_those_of_their_tables():
         later = ["rebound", "slip_rebound", "creep_mm_s", "hop_mm"]
         values += [float(row[column]) for column in later]
         assert shown[name] == pytest.approx(values, rel=0.06, abs=0.006), name
+
+
+def test_numbers_of_engines_are_those_of_the_named_checks():
+    """A number before `(check ...)` is the deviation from the law, in the unit of the check or as a share."""
+    columns = json.loads((ROOT / "scoring" / "conformance.json").read_text())["columns"]
+    found = 0
+    for page in sorted((DOCS / "engines").glob("*.md")):
+        results = [c["results"] for c in columns if c["backend"] == page.stem]
+        for number, name in re.findall(
+            r"(\d[\d.]*) (?:%|mm)[^.%|]*?\(checks? `([\w.-]+)`", page.read_text()
+        ):
+            rows = [result[name] for result in results]
+            deviations = [
+                scale * abs(row["measured"] - row["expected"])
+                for row in rows
+                if row["measured"] is not None
+                for scale in (1.0, 100.0 / (row["expected"] or 1.0))
+            ]
+            assert any(
+                float(number) == pytest.approx(each, rel=0.1) for each in deviations
+            ), (page.name, number, name)
+            found += 1
+    assert found > 10
+
+
+def test_ranges_of_constants_hold_a_new_trial_in_95_percent_of_cases():
+    """Mean and standard deviation s of n trials: t s sqrt(1 + 1 / n) on each side, with Student's t."""
+    facts = ROOT / "scoring" / "facts"
+    slides = tomllib.loads((facts / "slope_slider_30deg_summary.toml").read_text())
+    drops = tomllib.loads((facts / "bouncing_ball_summary.toml").read_text())
+    measured = {
+        f"friction, {name} on wood": (each["trial_count"], each["friction"])
+        for name, each in slides.items()
+    }
+    measured["restitution, rubber ball on wood"] = (
+        drops["trial_count"],
+        drops["rebound_ratio"],
+    )
+    rows = re.findall(
+        r"^\| (.* on wood) \| ([\d.]+) to ([\d.]+) \| (\d+) \|$",
+        (DOCS / "recipes.md").read_text(),
+        re.MULTILINE,
+    )
+    assert [name for name, *_ in rows] == list(measured)
+    for name, low, high, shown in rows:
+        count, value = measured[name]
+        half = t.ppf(0.975, count - 1) * value["std"] * (1.0 + 1.0 / count) ** 0.5
+        ends = (value["mean"] - half, value["mean"] + half)
+        assert (float(low), float(high)) == pytest.approx(ends, abs=0.0006)
+        assert int(shown) == count

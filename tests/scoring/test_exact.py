@@ -157,6 +157,46 @@ def test_a_body_that_starts_moving_or_tilted_has_no_exact_motion():
         assert exact_motion(moved, np.arange(3) / 30.0) is None
 
 
+@pytest.mark.parametrize("name", SLIDES)
+@pytest.mark.parametrize("friction", [0.0, 0.05, 0.1, 0.15, 0.2])
+def test_a_slide_past_the_end_of_its_board_solves_the_scene_up_to_there(name, friction):
+    experiment = load_experiment(name, {"cube.friction": friction})
+    times_s = sample_times_s(experiment)
+    fallen, wrong = (
+        closed_form_mm(load_experiment(name, {"cube.friction": mu}), times_s)
+        for mu in (friction, friction + 0.06)
+    )
+    # The cube falls freely after its centre has passed the lower edge of the board.
+    board = experiment.scene.body("board")
+    along_m = (
+        np.abs(board.pose.to_body(fallen / 1e3))[:, 0] - 0.5 * board.shape.size_m[0]
+    )
+    passed = np.flatnonzero(along_m > 0.0)
+    if len(passed):
+        since_s = np.maximum(times_s - times_s[passed[0]], 0.0)
+        slope = np.radians(30.0)
+        dropped = 9.80665 * np.cos(slope) * (np.cos(slope) + friction * np.sin(slope))
+        fallen[:, 2] -= 500.0 * dropped * since_s**2
+    score = scored(experiment, times_s, fallen)
+    assert score.solves == "yes"
+    assert score.cause == "constants"
+    assert score.estimates["friction"].value == pytest.approx(friction, abs=0.01)
+    assert scored(experiment, times_s, wrong).solves == "no"
+
+
+def test_a_cube_that_does_not_slide_is_said_where_the_real_one_does():
+    for name in SLIDES:
+        experiment = load_experiment(name, {"cube.friction": 0.9})
+        times_s = sample_times_s(experiment)
+        still = closed_form_mm(experiment, times_s)
+        friction = scored(experiment, times_s, still).estimates["friction"]
+        assert (friction.value, friction.answer) == (None, "no")
+        assert friction.real > 0.2
+    held = load_experiment("SlopeSlider-1-wood")
+    times_s = sample_times_s(held)
+    assert not scored(held, times_s, exact_motion(held, times_s)).estimates
+
+
 def test_a_start_with_noise_has_no_exact_score():
     experiment = load_experiment(BALL)
     times_s = sample_times_s(experiment)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from functools import partial
 from itertools import compress
@@ -170,12 +170,27 @@ class SimulationMuJoCo(PlacedSimulation):
 
     def drive(self, body: str, targets: FloatArray) -> None:
         """Write each world's pose, velocity, and the force that gives the body's large mass the acceleration."""
+        self._prepared(body, targets[None])(0)
+
+    def prepared(self, body: str, targets: FloatArray) -> Callable[[int], None]:
+        """Return a function that drives a body in one of several intervals; a subclass may change `drive` alone."""
+        is_own = type(self).drive is SimulationMuJoCo.drive
+        return (self._prepared if is_own else super().prepared)(body, targets)
+
+    def _prepared(self, body: str, targets: FloatArray) -> Callable[[int], None]:
         if body not in self._driven:
             self._driven[body] = _DrivenBody(self.model, self.datas, body)
-        self._driven[body].drive(targets)
-        for grip in self.grips:
-            if grip.body == body:
+        write = self._driven[body].prepared(targets)
+        grips = [grip for grip in self.grips if grip.body == body]
+        if not grips:
+            return write
+
+        def drive(interval: int) -> None:
+            write(interval)
+            for grip in grips:
                 grip.follow()
+
+        return drive
 
     def apply_wrench(self, body: str, wrenches: FloatArray) -> None:
         """Apply a force and a torque to a dynamic body; see `Simulation.apply_wrench`."""
@@ -212,7 +227,7 @@ class SimulationMuJoCo(PlacedSimulation):
         is_plain = not self._air and not any(self._force_readers)
         for world in range(thread, self.world_count, self._thread_count):
             if is_plain:
-                mujoco.mj_step(self.model, self.datas[world], nstep=count)
+                mujoco.mj_step(self.model, self.datas[world], count)
             else:
                 self._step(world, count)
 
@@ -230,6 +245,8 @@ class SimulationMuJoCo(PlacedSimulation):
 
     def diverged(self) -> Mapping[int, str]:
         """Return the worlds whose state MuJoCo reset since the last call of `reset`."""
+        if not any(any(numbers.tolist()) for numbers in self._warnings):
+            return {}
         is_bad = np.array(self._warnings)[:, [*map(int, BAD_STATES)]] > 0
         return {
             world: f"MuJoCo found a {next(compress(BAD_STATES.values(), is_bad[world]))} that is huge or not finite, "
@@ -247,15 +264,19 @@ class SimulationMuJoCo(PlacedSimulation):
     def body_positions(self, names: Sequence[str]) -> FloatArray:
         """Return the positions of bodies [m], shape [N, len(names), 3]."""
         key = tuple(names)
-        if key not in self._places:
+        places = self._places.get(key)
+        if places is None:
             bodies = [self._moving.get(name) for name in key]
             free = [body.places for body in bodies if isinstance(body, _FreeBody)]
-            by_world = [place for places in zip(*free, strict=True) for place in places]
-            self._places[key] = by_world if len(free) == len(bodies) else []
-        places = self._places[key]
+            places = [place for places in zip(*free, strict=True) for place in places]
+            if len(free) < len(bodies):
+                places = []
+            self._places[key] = places
         if not places:
             return super().body_positions(names)
-        return np.concatenate(places).reshape(self.world_count, -1, 3)
+        # A view of one body in one world needs no copy.
+        both = places[0] if len(places) == 1 else np.concatenate(places)
+        return both.reshape(self.world_count, -1, 3)
 
     def nodes(self, name: str) -> FloatArray:
         """Return the nodes of a deformable body [m], shape [1, node_count, 3]."""
@@ -368,28 +389,36 @@ class _DrivenBody(_FreeBody):
     ) -> None:
         super().__init__(model, datas, name)
         index = model.body(name).id
-        self._forces = [data.xfrc_applied[index] for data in datas]
+        forces = [data.xfrc_applied[index] for data in datas]
+        self._views = self._poses, self._rates, forces
         self._mass_kg = model.body_mass[index : index + 1]
 
-    def drive(self, targets: FloatArray) -> None:
-        """Write the targets of `Simulation.drive`, shape [N, 19]."""
-        rates = targets[:, 7:13]
+    def prepared(self, targets: FloatArray) -> Callable[[int], None]:
+        """Return a function that writes the targets of an interval; see `Simulation.prepared`."""
+        rates = targets[..., 7:13]
         # A body that only translates has no spin to rotate into its frame.
-        if np.count_nonzero(rates[:, 3:]):
+        if np.count_nonzero(rates[..., 3:]):
             rates = rates.copy()
-            back = targets[:, 3:7] * CONJUGATE
-            for inner, spin, quaternion in zip(
-                rates[:, 3:], targets[:, 10:13], back, strict=True
-            ):
+            back = targets[..., 3:7] * CONJUGATE
+            turned = zip(
+                rates.reshape(-1, 6)[:, 3:],
+                targets[..., 10:13].reshape(-1, 3),
+                back.reshape(-1, 4),
+                strict=True,
+            )
+            for inner, spin, quaternion in turned:
                 mujoco.mju_rotVecQuat(inner, spin, quaternion)
+        poses = targets[..., :7]
         # The mass and all moments of inertia of a driven body are the same number.
-        forces = self._mass_kg * targets[:, 13:]
-        own = zip(self._poses, self._rates, self._forces, strict=True)
-        given = zip(targets[:, :7], rates, forces, strict=True)
-        for (pose, rate, force), (place, speed, push) in zip(own, given, strict=True):
-            pose[:] = place
-            rate[:] = speed
-            force[:] = push
+        forces = self._mass_kg * targets[..., 13:]
+
+        def write(interval: int) -> None:
+            given = poses[interval], rates[interval], forces[interval]
+            for views, rows in zip(self._views, given, strict=True):
+                for view, row in zip(views, rows, strict=True):
+                    view[:] = row
+
+        return write
 
 
 class _HingedBody:

@@ -398,7 +398,7 @@ class ControlTask(GuardedEnv, ABC):
         for world in self.rollout.diverged:
             self.endings[world], rewards[world] = Ending.DIVERGED, 0.0
         terminated = np.array([ending is not None for ending in self.endings])
-        truncated = self.rollout.is_complete & ~terminated
+        truncated = self.rollout.is_over & ~terminated
         for world in np.flatnonzero(truncated).tolist():
             self.endings[world] = self.TIME_LIMIT_ENDING
         return rewards, terminated, truncated
@@ -612,8 +612,8 @@ class ControlEnv(GuardedEnv, gymnasium.Env[FloatArray, NDArray[np.float32]]):
         )
 
     def _info(self) -> dict[str, Any]:
-        frame, time_s = int(self.rollout.frames[0]), float(self.rollout.times_s[0])
-        return {"frame": frame, "time_s": time_s, **self.task.info(0)}
+        frame = int(self.rollout.frames[0])
+        return {"frame": frame, "time_s": frame / FRAME_RATE_HZ, **self.task.info(0)}
 
     def _observe(self) -> FloatArray:
         """Record and return the observation, and draw it if there is a window."""

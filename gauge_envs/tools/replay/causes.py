@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from operator import attrgetter
-from typing import Any, TypeAlias
 
 import mujoco
 import numpy as np
@@ -17,34 +15,14 @@ from scipy.spatial.transform import Rotation
 from gauge_envs.tools.replay.log import FloatArray, best_columns
 from gauge_envs.tools.replay.model import IntArray, Replayer, Setup
 
-DELAY_S = 0.02
-"""Delay that matters."""
-DELAYS = (-0.5, 0.25, 0.5, 1.0, 1.5, 2.25, 3.0, 4.5, 6.5, 9.0)
-"""Delays from which the fit starts, over the one that matters: the error has several minima over the delay."""
-EFFORTS = (0.15, 0.35, 0.65, 1.0)
-"""Effort limits from which the fit starts, over the torque that the model needs in the log."""
-CONTACTS = (-0.85, -0.7, -0.55, -0.4, -0.2, 0.5, 1.5, 4.0)
-"""Changes of friction and of the time constant of contacts, over the present value."""
 STEPS = (0.25, 0.5, 2.0, 2.5, 4.0, 5.0)
 """Physics steps that are tried, over the present one."""
 REPEATS = (2, 3, 4)
 MAX_TIMESTEP_S = 0.02
-STOP = 0.05
-"""Change of a stop that matters [rad or m]."""
-STOPS = (-0.4, 0.4)
-"""Places of a stop from which the fit starts, beyond the extreme of the motion, over the change that matters."""
 LOAD_SAMPLES = 300
 FAR = 40.0
 """Bound of a number of the fit, in units of its scale."""
 ZERO = "zero"
-ZEROS = (-1.6, -1.0, -0.5, -0.2, 0.2, 0.5, 1.0, 1.6)
-"""Zeros of a joint from which the fit starts [rad or m]."""
-GRAVITY = 9.81
-"""Bound of a change of gravity [m/s^2]: it never points up."""
-TILTS = (0.16, 0.16)
-"""Tilts of the base that matter [rad]; their bound is a right angle."""
-INSIDE = 2.0
-"""Bound of a shift of a centre, over the radius of gyration of its link: it stays inside."""
 MIN_SCALE = 1e-6
 """Scale of values that stay above zero and are zero now."""
 MIN_FACTOR = 1e-3
@@ -134,23 +112,6 @@ class Cause:
         return by_number.max(axis=1, initial=-FAR)
 
 
-Entry: TypeAlias = tuple[str, Any, float]
-"""Path of an array of a setup, rows of it, and the sign of the values there."""
-
-
-def _cause(setup: Setup, *entries: Entry, **fields: Any) -> Cause:
-    """Return a cause whose values are entries of arrays of a setup; the first ones are the present values."""
-    path, index, sign = entries[0]
-    present = sign * attrgetter(path)(setup)[index]
-    return Cause(present=present, apply=partial(_set_entries, entries), **fields)
-
-
-def _set_entries(entries: Sequence[Entry], changed: Setup, values: FloatArray) -> None:
-    """Give values to entries of arrays of a setup."""
-    for path, index, sign in entries:
-        attrgetter(path)(changed)[index] = sign * values
-
-
 def change_setup(setup: Setup, changes: Iterable[tuple[Cause, FloatArray]]) -> Setup:
     """Return a copy of a setup with the values of causes."""
     after = copy.deepcopy(setup)
@@ -168,83 +129,110 @@ def candidates(replayer: Replayer, setup: Setup) -> list[Cause]:
     # Torques and speeds of the joints that the log often has.
     load = np.maximum(np.percentile(np.abs(torques), 95, axis=0), 1e-4)
     speed = np.maximum(np.percentile(np.abs(log.velocity), 95, axis=0), 1e-3)
-    drives = np.append(setup.is_driven, False)[replayer.actuator]
+    driven = np.flatnonzero(np.append(setup.is_driven, False)[replayer.actuator])
     causes = [
-        *_joints(replayer, setup, load, speed),
+        _zero(replayer, setup, driven),
+        *_losses(replayer, setup, load, speed),
+        _stops(replayer, setup),
         *_bodies(setup),
         *_timing(setup),
     ]
-    if drives.any():
-        causes += _drives(replayer, setup, np.flatnonzero(drives), load, speed.max())
+    if len(driven):
+        causes += _drives(replayer, setup, driven, load[driven], speed.max())
+        causes += _order(replayer, setup, driven)
     return causes + _contacts() * is_touching
 
 
-def _joints(
-    replayer: Replayer, setup: Setup, load: FloatArray, speed: FloatArray
-) -> list[Cause]:
-    """Return armature, dry friction, damping and limits of the joints, and their zero in positions and commands."""
-    names, dofs, ids = replayer.log.joints, replayer.dof, replayer.actuator
-    count = len(names)
-    driven = np.flatnonzero(np.append(setup.is_driven, False)[ids])
-    driven = driven[setup.model.actuator_biasprm[ids[driven], 1] != 0.0]
-    limits = np.tile(replayer.joint, 2), np.repeat((0, 1), count)
+def _zero(replayer: Replayer, setup: Setup, driven: IntArray) -> Cause:
+    """Return the zero of the joints in positions and commands."""
+    ids = replayer.actuator
+    servos = driven[setup.model.actuator_biasprm[ids[driven], 1] != 0.0]
 
     def set_zero(changed: Setup, values: FloatArray) -> None:
         changed.zero[:] = values
-        changed.offset[ids[driven]] += values[driven]
+        changed.offset[ids[servos]] += values[servos]
 
-    zero = Cause(
+    return Cause(
         name=ZERO,
         unit="rad",
-        parameters=names,
+        parameters=replayer.log.joints,
         present=setup.zero,
         typical=1.0,
         apply=set_zero,
-        groups=groups_of(count),
+        groups=groups_of(len(setup.zero)),
         is_positive=False,
-        starts=ZEROS,
+        starts=(-1.6, -1.0, -0.5, -0.2, 0.2, 0.5, 1.0, 1.6),
         origin=0.0,
         far=np.pi,
     )
-    rows = (
-        ("armature", "kg m^2", "dof_armature", 0.3 * setup.model.dof_M0[dofs]),
-        ("dry friction", "N m", "dof_frictionloss", 0.1 * load),
-        ("damping", "N m s/rad", "dof_damping", 0.3 * load / speed),
+
+
+def _losses(
+    replayer: Replayer, setup: Setup, load: FloatArray, speed: FloatArray
+) -> list[Cause]:
+    """Return armature, dry friction and damping of the joints."""
+    model, dofs = setup.model, replayer.dof
+    joint_cause = partial(
+        Cause,
+        parameters=replayer.log.joints,
+        groups=groups_of(len(dofs), "all", "each"),
     )
-    losses = [
-        _cause(
-            setup,
-            (f"model.{field}", dofs, 1.0),
-            name=name,
-            unit=unit,
-            parameters=names,
-            typical=typical,
-            groups=groups_of(count, "all", "each"),
-        )
-        for name, unit, field, typical in rows
+
+    def set_armature(changed: Setup, values: FloatArray) -> None:
+        changed.model.dof_armature[dofs] = values
+
+    def set_friction(changed: Setup, values: FloatArray) -> None:
+        changed.model.dof_frictionloss[dofs] = values
+
+    def set_damping(changed: Setup, values: FloatArray) -> None:
+        changed.model.dof_damping[dofs] = values
+
+    return [
+        joint_cause(
+            name="armature",
+            unit="kg m^2",
+            present=model.dof_armature[dofs],
+            typical=0.3 * model.dof_M0[dofs],
+            apply=set_armature,
+        ),
+        joint_cause(
+            name="dry friction",
+            unit="N m",
+            present=model.dof_frictionloss[dofs],
+            typical=0.1 * load,
+            apply=set_friction,
+        ),
+        joint_cause(
+            name="damping",
+            unit="N m s/rad",
+            present=model.dof_damping[dofs],
+            typical=0.3 * load / speed,
+            apply=set_damping,
+        ),
     ]
-    stops = _cause(
-        setup,
-        ("model.jnt_range", limits, 1.0),
+
+
+def _stops(replayer: Replayer, setup: Setup) -> Cause:
+    """Return the limits of the joints; the fit starts near the extremes of the motion."""
+    joints, ids = replayer.log.joints, replayer.joint
+
+    def set_stops(changed: Setup, values: FloatArray) -> None:
+        changed.model.jnt_range[ids] = values.reshape(2, -1).T
+
+    return Cause(
         name="joint limit",
         unit="rad",
         parameters=[
-            f"{joint} {side}" for side in ("lower", "upper") for joint in names
+            f"{joint} {side}" for side in ("lower", "upper") for joint in joints
         ],
-        typical=STOP,
-        groups=groups_of(2 * count),
+        present=setup.model.jnt_range[ids].T.ravel(),
+        typical=0.05,
+        apply=set_stops,
+        groups=groups_of(2 * len(ids)),
         is_positive=False,
-        starts=STOPS,
+        starts=(-0.4, 0.4),
         origin=np.percentile(replayer.log.position, (2.0, 98.0), axis=0).ravel(),
     )
-    return [zero, *losses, stops]
-
-
-def _set_gravity(changed: Setup, values: FloatArray) -> None:
-    """Give gravity its strength, and turn it as a tilt of the base does."""
-    gravity = changed.model.opt.gravity
-    gravity[2] = values[0]
-    gravity[:] = Rotation.from_rotvec([*values[1:], 0.0]).apply(gravity)
 
 
 def _bodies(setup: Setup) -> list[Cause]:
@@ -257,124 +245,164 @@ def _bodies(setup: Setup) -> list[Cause]:
     size = np.maximum(np.sqrt(inertia.sum(axis=1) / mass), 0.01)
     ends = np.union1d(0, np.flatnonzero(~np.isin(bodies, model.body_parentid[bodies])))
 
+    def set_gravity(changed: Setup, values: FloatArray) -> None:
+        vector = changed.model.opt.gravity
+        vector[2] = values[0]
+        vector[:] = Rotation.from_rotvec([*values[1:], 0.0]).apply(vector)
+
     def set_mass(changed: Setup, values: FloatArray) -> None:
         # Another cause may have added a payload.
         changed.model.body_mass[bodies] += values - mass
         changed.model.body_inertia[bodies] = inertia * (values / mass)[:, None]
 
+    def set_centre(changed: Setup, values: FloatArray) -> None:
+        changed.model.body_ipos[bodies] = values.reshape(-1, 3)
+
     def add_payload(changed: Setup, values: FloatArray) -> None:
         changed.model.body_mass[bodies[ends]] += values
 
-    gravity = Cause(
-        name="gravity or tilt",
-        unit="m/s^2, rad",
-        parameters=["gravity z", "tilt x", "tilt y"],
-        present=np.array([model.opt.gravity[2], 0.0, 0.0]),
-        typical=(1.0, *TILTS),
-        apply=_set_gravity,
-        groups=[
-            ParameterGroup("one", np.eye(3)[:, :1]),
-            ParameterGroup("each", np.eye(3)[:, 1:]),
-            ParameterGroup("each", np.eye(3)),
-        ],
-        is_positive=False,
-        far=GRAVITY,
-    )
-    masses = Cause(
-        name="mass or centre of a link",
-        unit="kg",
-        parameters=names,
-        present=mass,
-        typical=MIN_SCALE,
-        apply=set_mass,
-        groups=groups_of(count, "all"),
-    )
-    centres = _cause(
-        setup,
-        ("model.body_ipos", (np.repeat(bodies, 3), np.tile(range(3), count)), 1.0),
-        name="mass or centre of a link",
-        unit="m",
-        parameters=[f"{name} {axis}" for name in names for axis in "xyz"],
-        typical=np.repeat(size, 3),
-        groups=[
-            ParameterGroup("each", columns)
-            for columns in np.split(np.eye(3 * count), count, axis=1)
-        ],
-        is_positive=False,
-        far=INSIDE,
-    )
-    payload = Cause(
-        name="payload",
-        unit="kg",
-        parameters=[names[end] for end in ends],
-        present=np.zeros(len(ends)),
-        # A payload may be heavier than the link that carries it.
-        typical=0.02 * model.body_mass.sum(),
-        apply=add_payload,
-        groups=groups_of(len(ends)),
-    )
-    return [gravity, masses, centres, payload]
+    return [
+        Cause(
+            name="gravity or tilt",
+            unit="m/s^2, rad",
+            parameters=["gravity z", "tilt x", "tilt y"],
+            present=np.array([model.opt.gravity[2], 0.0, 0.0]),
+            typical=(1.0, 0.16, 0.16),
+            apply=set_gravity,
+            groups=[
+                ParameterGroup("one", np.eye(3)[:, :1]),
+                ParameterGroup("each", np.eye(3)[:, 1:]),
+                ParameterGroup("each", np.eye(3)),
+            ],
+            is_positive=False,
+            # Gravity never points up, and a tilt is at most a right angle.
+            far=9.81,
+        ),
+        Cause(
+            name="mass or centre of a link",
+            unit="kg",
+            parameters=names,
+            present=mass,
+            typical=MIN_SCALE,
+            apply=set_mass,
+            groups=groups_of(count, "all"),
+        ),
+        Cause(
+            name="mass or centre of a link",
+            unit="m",
+            parameters=[f"{name} {axis}" for name in names for axis in "xyz"],
+            present=model.body_ipos[bodies].ravel(),
+            typical=np.repeat(size, 3),
+            apply=set_centre,
+            groups=[
+                ParameterGroup("each", columns)
+                for columns in np.split(np.eye(3 * count), count, axis=1)
+            ],
+            is_positive=False,
+            # A centre stays inside of its link, whose radius of gyration is the scale.
+            far=2.0,
+        ),
+        Cause(
+            name="payload",
+            unit="kg",
+            parameters=[names[end] for end in ends],
+            present=np.zeros(len(ends)),
+            # A payload may be heavier than the link that carries it.
+            typical=0.02 * model.body_mass.sum(),
+            apply=add_payload,
+            groups=groups_of(len(ends)),
+        ),
+    ]
 
 
 def _drives(
     replayer: Replayer, setup: Setup, driven: IntArray, load: FloatArray, speed: float
 ) -> list[Cause]:
-    """Return gains and effort limit of driven joints, and scale, offset, delay and order of their commands."""
-    ids, bias = replayer.actuator[driven], "model.actuator_biasprm"
-    load, is_servo = load[driven], setup.model.actuator_biasprm[ids, 1].any()
-    limits: dict[str, Any] = {"starts": EFFORTS, "origin": 0.0}
-    rows: list[tuple[str, str, Any, Sequence[Entry], dict[str, Any]]] = [
-        (
-            "effort limit",
-            "N m",
-            load,
-            [
-                ("model.actuator_forcerange", (ids, 1), 1.0),
-                ("model.actuator_forcerange", (ids, 0), -1.0),
-            ],
-            limits,
+    """Return gains and effort limit of driven joints, and scale, offset and delay of their commands."""
+    ids, model = replayer.actuator[driven], setup.model
+    is_servo = bool(model.actuator_biasprm[ids, 1].any())
+    joint_cause = partial(
+        Cause,
+        parameters=[replayer.log.joints[joint] for joint in driven],
+        groups=groups_of(len(ids), "all", "each"),
+    )
+
+    def set_effort(changed: Setup, values: FloatArray) -> None:
+        changed.model.actuator_forcerange[ids] = np.transpose([-values, values])
+
+    def set_scale(changed: Setup, values: FloatArray) -> None:
+        changed.scale[ids] = values
+
+    def set_offset(changed: Setup, values: FloatArray) -> None:
+        changed.offset[ids] = values
+
+    def set_stiffness(changed: Setup, values: FloatArray) -> None:
+        changed.model.actuator_biasprm[ids, 1] = -values
+        changed.model.actuator_gainprm[ids, 0] = values
+
+    def set_damping(changed: Setup, values: FloatArray) -> None:
+        changed.model.actuator_biasprm[ids, 2] = -values
+
+    def set_delay(changed: Setup, values: FloatArray) -> None:
+        changed.delay_s[:] = values
+
+    causes = [
+        joint_cause(
+            name="effort limit",
+            unit="N m",
+            present=model.actuator_forcerange[ids, 1],
+            # The torque that the model needs in the log.
+            typical=load,
+            apply=set_effort,
+            starts=(0.15, 0.35, 0.65, 1.0),
+            origin=0.0,
         ),
-        ("action scale", "", MIN_SCALE, [("scale", ids, 1.0)], {}),
-        (
-            "action offset",
-            "rad" if is_servo else "N m",
-            0.05 if is_servo else 0.1 * load,
-            [("offset", ids, 1.0)],
-            {"is_positive": False},
+        joint_cause(
+            name="action scale",
+            present=setup.scale[ids],
+            typical=MIN_SCALE,
+            apply=set_scale,
+        ),
+        joint_cause(
+            name="action offset",
+            unit="rad" if is_servo else "N m",
+            present=setup.offset[ids],
+            typical=0.05 if is_servo else 0.1 * load,
+            apply=set_offset,
+            is_positive=False,
+        ),
+        Cause(
+            name="delay",
+            unit="s",
+            parameters=["delay"],
+            present=setup.delay_s,
+            typical=0.02,
+            apply=set_delay,
+            groups=groups_of(1),
+            is_positive=False,
+            # The error has several minima over the delay.
+            starts=(-0.5, 0.25, 0.5, 1.0, 1.5, 2.25, 3.0, 4.5, 6.5, 9.0),
+            origin=0.0,
         ),
     ]
     if is_servo:
-        stiffness = [(bias, (ids, 1), -1.0), ("model.actuator_gainprm", (ids, 0), 1.0)]
-        rows += [
-            ("kp", "N m/rad", MIN_SCALE, stiffness, {}),
-            ("kd", "N m s/rad", 0.3 * load / speed, [(bias, (ids, 2), -1.0)], {}),
+        causes += [
+            joint_cause(
+                name="kp",
+                unit="N m/rad",
+                present=-model.actuator_biasprm[ids, 1],
+                typical=MIN_SCALE,
+                apply=set_stiffness,
+            ),
+            joint_cause(
+                name="kd",
+                unit="N m s/rad",
+                present=-model.actuator_biasprm[ids, 2],
+                typical=0.3 * load / speed,
+                apply=set_damping,
+            ),
         ]
-    causes = [
-        _cause(
-            setup,
-            *entries,
-            name=name,
-            unit=unit,
-            parameters=[replayer.log.joints[joint] for joint in driven],
-            typical=typical,
-            groups=groups_of(len(ids), "all", "each"),
-            **more,
-        )
-        for name, unit, typical, entries, more in rows
-    ]
-    delay = _cause(
-        setup,
-        ("delay_s", slice(None), 1.0),
-        name="delay",
-        unit="s",
-        parameters=["delay"],
-        typical=DELAY_S,
-        groups=groups_of(1),
-        is_positive=False,
-        starts=DELAYS,
-        origin=0.0,
-    )
-    return [*causes, delay, *_order(replayer, setup, driven)]
+    return causes
 
 
 def _option(name: str, label: str, apply: Callable[[Setup], None]) -> Cause:
@@ -458,24 +486,25 @@ def _held(setup: Setup, n: int, k: int) -> Cause:
 
 def _contacts() -> list[Cause]:
     """Return friction and softness of all contacts, as factors."""
-    columns = {
-        "floor friction": {"geom_friction": 1, "pair_friction": 2},
-        "contact softness": {"geom_solref": 1, "pair_solref": 1},
-    }
 
-    def scale(counts: Mapping[str, int], changed: Setup, factor: FloatArray) -> None:
-        for field, count in counts.items():
-            getattr(changed.model, field)[:, :count] *= factor
+    def scale_friction(changed: Setup, factor: FloatArray) -> None:
+        changed.model.geom_friction[:, :1] *= factor
+        changed.model.pair_friction[:, :2] *= factor
 
+    def scale_softness(changed: Setup, factor: FloatArray) -> None:
+        changed.model.geom_solref[:, :1] *= factor
+        changed.model.pair_solref[:, :1] *= factor
+
+    setters = {"floor friction": scale_friction, "contact softness": scale_softness}
     return [
         Cause(
             name=name,
             parameters=["factor"],
             present=np.ones(1),
             typical=1.0,
-            apply=partial(scale, counts),
+            apply=apply,
             groups=groups_of(1),
-            starts=CONTACTS,
+            starts=(-0.85, -0.7, -0.55, -0.4, -0.2, 0.5, 1.5, 4.0),
         )
-        for name, counts in columns.items()
+        for name, apply in setters.items()
     ]

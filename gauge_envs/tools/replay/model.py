@@ -507,10 +507,11 @@ def law_setups(replayer: Replayer, control: ControlMap) -> list[Setup]:
     an implicit integrator.
     """
     setup = build_setup(replayer.model, replayer.log, control)
-    if control.kp is None:
+    euler = mujoco.mjtIntegrator.mjINT_EULER.value
+    if control.kp is None or setup.model.opt.integrator == euler:
         return [setup]
     explicit = copy.deepcopy(setup)
-    explicit.model.opt.integrator = mujoco.mjtIntegrator.mjINT_EULER.value
+    explicit.model.opt.integrator = euler
     pieces = replayer.pieces(LAW_S, LAW_PIECES)
 
     def error(each: Setup) -> float:

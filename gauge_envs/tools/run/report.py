@@ -38,7 +38,6 @@ MAX_EXPLAINED = 5
 NOTES = {
     "trials": "Trials: mean distance of real trials.",
     "exact": "Exact: distance of the exact motion with the same constants.",
-    "solves": "Solves: whether the engine solves the scene.",
 }
 """Meaning of columns, by key."""
 
@@ -68,6 +67,9 @@ PHRASES = {
     "el": "loses {} of the energy",
 }
 """Description of a motion, by estimate or event."""
+
+MISSING = {"friction": "does not slide"}
+"""Description of a motion without an estimate or event."""
 
 
 def summary_document(results: Sequence[Result], *, details: bool = False) -> Document:
@@ -195,7 +197,7 @@ def motion_text(score: Score) -> str | None:
         return None
     name = max(quantities, key=lambda name: _deviation(quantities[name]))
     quantity = quantities[name]
-    text = f"{event_title(name)} does not happen"
+    text = MISSING.get(name, f"{event_title(name)} does not happen")
     if quantity.value is not None:
         phrase = PHRASES.get(name, f"{event_title(name)} {{}}")
         text = phrase.format(with_unit(digits_text(quantity.value), quantity.unit))

@@ -56,6 +56,25 @@ def test_isaac_has_a_shear_stiffness_but_no_simulation():
     assert "does not simulate" in recipe.explanation
 
 
+def test_the_page_has_the_shear_stiffness_of_the_published_mappings():
+    """Over the measured one: K / (2 (1 + nu)) of an isotropic sheet, K / 2 of springs along both diagonals."""
+    text = (ROOT / "docs" / "fabrics.md").read_text()
+    rows = dict(re.findall(r"^\| (Newton|Isaac Sim|Genesis) \| (.*) \|$", text, re.M))
+    for column, fabric in enumerate(fabrics("TextileFlinging").values()):
+        stretch = fabric.stretch_stiffness_n_per_m
+        mapped = fabric_constants(fabric)
+        poisson = mapped["isaac"].constants["poissons_ratio"]
+        shear = {
+            "Newton": mapped["newton"].constants["tri_ke"],
+            "Isaac Sim": stretch / (2.0 * (1.0 + poisson)),
+            "Genesis": stretch / 2.0,
+        }
+        for name, row in rows.items():
+            shown = float(row.split(" | ")[column])
+            ratio = shear[name] / fabric.shear_stiffness_n_per_m
+            assert shown == pytest.approx(ratio, rel=0.02)
+
+
 @pytest.mark.slow
 def test_the_recipe_of_a_fabric_names_the_loss_of_its_mapping():
     """Newton has one modulus for stretch and shear, so the shear of satin is too stiff."""
