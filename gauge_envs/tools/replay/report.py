@@ -135,7 +135,6 @@ def replay(
         replayer=problem.replayer,
         in_degrees=uses_degrees(model),
         given=given,
-        mapped=mapped,
     )
     sentence = _sentence(line, explanation)
     line = replace(line, sentence=sentence, paste=change.lines())
