@@ -17,6 +17,7 @@ from gauge_envs.tools.conformance import (
     run_checks,
 )
 from gauge_envs.tools.conformance.causes import likely_causes, rules
+from gauge_envs.tools.conformance.model import Level
 from gauge_envs.tools.conformance.report import engine_document
 from gauge_envs.tools.conformance.results import levels
 
@@ -344,6 +345,16 @@ def test_each_check_has_an_id_of_its_own_and_a_description():
     ids = [check.id for check in checks()]
     assert len(set(ids)) == len(ids)
     assert [check.id for check in checks() if not check.description] == []
+
+
+def test_a_level_selects_its_checks_and_a_wrong_one_names_the_levels():
+    for level in Level:
+        chosen = checks([level.value])
+        assert chosen
+        assert {check.level for check in chosen} == {level}
+    assert len(checks(["rigid", "slide"])) == len(checks(["rigid"])) + 1
+    with pytest.raises(UnknownNameError, match="did you mean rigid"):
+        checks(["rigit"])
 
 
 def test_texts_do_not_change_a_fingerprint_but_numbers_and_revisions_do():
