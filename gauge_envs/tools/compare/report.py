@@ -351,7 +351,7 @@ def _score_table(
     for index, label in enumerate(comparison.labels):
         columns.append(Column(f"scores.{index}", label, is_number=True))
     columns += _exact_columns(comparison, rows)
-    if is_full:
+    if is_full and any(row["published"] for row in rows):
         for engine, title in PUBLISHED_ENGINES.items():
             key, paper_title = f"published.{engine}", f"{title}, paper"
             columns.append(Column(key, paper_title, score_text, is_number=True))

@@ -612,7 +612,7 @@ def _unknown(log: Log) -> Iterator[str]:
     if not log.command_kind:
         yield "no commands: the mechanism is taken as passive"
     elif is_fast and log.command_kind in ("target", "tau"):
-        yield f"commands change at every sample: a delay below {1e3 * log.interval_s:.3g} ms may be how they are held"
+        yield f"commands change at every sample: they cannot show a delay below {1e3 * log.interval_s:.3g} ms"
 
 
 CHECKS = (
