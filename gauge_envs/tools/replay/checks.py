@@ -442,11 +442,13 @@ def _rate_units(log: Log) -> Iterator[str]:
     """Bring velocities to the unit of the slopes of the positions, for all joints or for single ones."""
     ratio, is_clear, is_judged = _ratios(log)
     ratio = np.maximum(ratio, 1e-12)
-    is_far = is_judged & (np.abs(np.log(ratio)) > np.log(MAX_RATE_RATIO))
+    is_unlike = np.abs(np.log(ratio)) > np.log(MAX_RATE_RATIO)
+    is_far = is_judged & is_unlike
     if not is_far.any():
         return
     common = np.median(ratio[is_clear])
-    if not np.allclose(ratio[is_clear], common, rtol=SAME_RATIO):
+    # The clock, or another unit, concerns all joints.
+    if not is_unlike[is_clear].all() or 2 * is_clear.sum() <= len(ratio) > 1:
         _divide_rates(log, np.where(is_far, ratio, 1.0))
         for joint, number in compress(zip(log.joints, ratio, strict=True), is_far):
             yield f"velocity of {joint} is {number:.3g} times the slope of its position: it is divided by that"

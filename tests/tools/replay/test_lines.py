@@ -217,7 +217,7 @@ def test_the_line_of_axes_repairs_the_base(tmp_path, turn, part, axes):
             for name, change in (
                 ("sign", lambda target: target * [1.0, -1.0]),
                 ("scale", lambda target: target * [0.5, 1.0]),
-                ("offset", lambda target: target + [0.0, 0.3]),
+                ("offset", lambda target: target + np.array([0.0, 0.3])),
             )
         ),
     ],
