@@ -154,7 +154,9 @@ def _detected(reference: Values) -> tuple[list[str], list[str]]:
             continue
         for title, score in scores.items():
             is_detected[title] = bool(score) or is_detected.get(title, False)
-    if rows and not is_detected:
+    if not rows:
+        return ["not tried"], ["not tried"]
+    if not is_detected:
         return ["nothing: the unchanged scene fails"], []
     detected, missed = [], []
     for title in PLANTED_ERRORS.values():

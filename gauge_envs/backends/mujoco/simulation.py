@@ -100,6 +100,8 @@ class SimulationMuJoCo(PlacedSimulation):
             self._air = [AirOnCloth(scene.air, part, self.data) for part in cloths]
         self._folds = self._fold_watch()
         self._force_readers: list[list[MeanForces]] = [[] for _ in self.datas]
+        # Whether nothing acts or reads between the steps of an interval.
+        self._is_plain = not self._air
         self.placed = placed_states(scene)
         self._moving = {
             body.name: self._moving_body(body)
@@ -224,9 +226,8 @@ class SimulationMuJoCo(PlacedSimulation):
 
     def _step_worlds(self, thread: int, count: int) -> None:
         """Step the worlds of a thread."""
-        is_plain = not self._air and not any(self._force_readers)
         for world in range(thread, self.world_count, self._thread_count):
-            if is_plain:
+            if self._is_plain:
                 mujoco.mj_step(self.model, self.datas[world], count)
             else:
                 self._step(world, count)
@@ -305,6 +306,7 @@ class SimulationMuJoCo(PlacedSimulation):
         ]
         for known, reader in zip(self._force_readers, readers, strict=True):
             known.append(reader)
+        self._is_plain = False
         return lambda: np.concatenate([reader.mean() for reader in readers])
 
     def close(self) -> None:
