@@ -265,6 +265,11 @@ class KnowsNoCloth(Faulty):
         return Support(("it knows no cloth",) if scene.deformables else ())
 
 
+class KnowsNoHinges(Faulty):
+    def supports(self, scene):
+        return Support(("it knows no hinges",) if scene.hinges else ())
+
+
 class CannotBuildCloth(Faulty):
     def build(self, scene, settings=None):
         if scene.deformables:
@@ -339,6 +344,11 @@ def test_an_unsupported_check_is_not_a_failure_and_has_its_reason():
     assert (unsupported.status, unsupported.is_bad) == (Status.UNSUPPORTED, False)
     assert unsupported.missing == ("it knows no cloth",)
     assert results["free-fall"].status is Status.PASS
+
+
+def test_an_engine_without_hinges_is_checked_on_all_other_bodies():
+    results = results_of(KnowsNoHinges(MUJOCO, Fault()), "rest-shapes", "rest-small")
+    assert {result.status for result in results.values()} == {Status.PASS}
 
 
 def test_an_exception_costs_its_checks_and_has_its_place():

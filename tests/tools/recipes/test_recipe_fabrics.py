@@ -1,5 +1,6 @@
 """Recipes of fabrics: stiffness by the law of an engine, a simulated strip, and a snippet in plain MuJoCo."""
 
+import csv
 import json
 import math
 import re
@@ -252,6 +253,30 @@ def test_the_commands_of_the_page_compare_engines_on_a_fabric(
     (row,) = re.findall(r"DenimStripBending-tested &(.*)\\\\", outputs[-1].stdout)
     assert all(float(cell) < 0.02 for cell in row.split("&"))
     gym.registry.pop("GAUGE/DenimStripBending-tested", None)
+
+
+def test_the_page_says_what_the_stored_sensitivities_show():
+    """A score tells a distance of 2 % of the motion from a solution."""
+    file = ROOT / "studies" / "models" / "sensitivity.csv"
+    page = (ROOT / "docs" / "fabrics.md").read_text(encoding="utf-8")
+    seen = {column: set() for column in ("stretch", "shear", "bend", "friction", "air")}
+    with file.open(encoding="utf-8", newline="") as stream:
+        for row in csv.DictReader(stream):
+            shown = re.search(rf"^\| {row['id']} \|(.*)\|$", page, re.MULTILINE)
+            cells = shown[1].replace("*", "").split("|")
+            assert [cell.strip() for cell in cells] == list(row.values())[1:]
+            assert float(row["noise"]) < 0.2
+            for column, ids in seen.items():
+                if row[column] != "-" and float(row[column]) >= 2.0:
+                    ids.add(row["id"])
+    assert seen["bend"] == {"StripBending-satin", "StripBending-oxford"}
+    assert not seen["shear"] | seen["friction"]
+    assert seen["stretch"] == {
+        "TextileBending-satin",
+        "TextileBending-oxford",
+        "TextileStretching-satin",
+    }
+    assert {"TextileFlinging-satin", "TextileFlinging-oxford"} <= seen["air"]
 
 
 @pytest.mark.parametrize("left_out", TESTS)
