@@ -448,7 +448,9 @@ def _rate_units(log: Log) -> Iterator[str]:
         return
     common = np.median(ratio[is_clear])
     # The clock, or another unit, concerns all joints.
-    if not is_unlike[is_clear].all() or 2 * is_clear.sum() <= len(ratio) > 1:
+    is_one = np.allclose(ratio[is_clear], common, rtol=SAME_RATIO)
+    is_common = is_unlike[is_clear].all() and (is_one or not is_judged[is_clear].all())
+    if not is_common or 2 * is_clear.sum() <= len(ratio) > 1:
         _divide_rates(log, np.where(is_far, ratio, 1.0))
         for joint, number in compress(zip(log.joints, ratio, strict=True), is_far):
             yield f"velocity of {joint} is {number:.3g} times the slope of its position: it is divided by that"
