@@ -181,18 +181,10 @@ class SimulationMuJoCo(PlacedSimulation):
 
     def _prepared(self, body: str, targets: FloatArray) -> Callable[[int], None]:
         if body not in self._driven:
-            self._driven[body] = _DrivenBody(self.model, self.datas, body)
-        write = self._driven[body].prepared(targets)
-        grips = [grip for grip in self.grips if grip.body == body]
-        if not grips:
-            return write
-
-        def drive(interval: int) -> None:
-            write(interval)
-            for grip in grips:
-                grip.follow()
-
-        return drive
+            driven = _DrivenBody(self.model, self.datas, body)
+            driven.grips = [grip for grip in self.grips if grip.body == body]
+            self._driven[body] = driven
+        return self._driven[body].prepared(targets)
 
     def apply_wrench(self, body: str, wrenches: FloatArray) -> None:
         """Apply a force and a torque to a dynamic body; see `Simulation.apply_wrench`."""
@@ -384,7 +376,13 @@ class _FreeBody:
 
 
 class _DrivenBody(_FreeBody):
-    """Views of MuJoCo's arrays with the state, force and mass of a driven body in all worlds."""
+    """Views of MuJoCo's arrays with the state, force and mass of a driven body in all worlds.
+
+    Attributes:
+        grips: Nodes of soft bodies that move with it.
+    """
+
+    grips: Sequence[Grip] = ()
 
     def __init__(
         self, model: mujoco.MjModel, datas: Sequence[mujoco.MjData], name: str
@@ -419,6 +417,8 @@ class _DrivenBody(_FreeBody):
             for views, rows in zip(self._views, given, strict=True):
                 for view, row in zip(views, rows, strict=True):
                     view[:] = row
+            for grip in self.grips:
+                grip.follow()
 
         return write
 

@@ -25,10 +25,9 @@ class TrajectorySpool:
 
     def put(self, result: Result) -> Result:
         """Write the trajectory of a result, and return the result without it."""
-        values = {name: getattr(result, name) for name in SHARED}
         shared = {
-            name: self._known.setdefault(repr(value), value)
-            for name, value in values.items()
+            name: self._known.setdefault(repr(value := getattr(result, name)), value)
+            for name in SHARED
         }
         kept = replace(result, trajectory=None, **shared)
         self._places[id(kept)] = self._file.tell()
