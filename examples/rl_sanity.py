@@ -200,7 +200,7 @@ def draw(runs: list[Replay], task: str, path: Path) -> None:
             above.plot(time_s[-1], used[-1], "X", color=style["color"], ms=9, mec="w")
             below.plot(time_s[-1], slip_mm_per_s[-1], "X", color=style["color"], ms=9, mec="w")
     above.set(ylabel="friction used", ylim=(0.0, 1.25 * limit.value), title=f"{task}: a trained policy, replayed")
-    below.set(ylabel="speed of the cube on its carrier [mm/s]", xlabel="time [s]", yscale="symlog", ylim=(0.0, 100.0))
+    below.set(ylabel="speed of the slip [mm/s]", xlabel="time [s]", yscale="symlog", ylim=(0.0, 100.0))
     figure.legend(fontsize=8, loc="outside lower center", ncols=3)
     figure.savefig(path, dpi=130)
     plt.close(figure)

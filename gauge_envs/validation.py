@@ -6,11 +6,15 @@ from enum import Enum
 from typing import TYPE_CHECKING, TypeVar
 
 from gauge_envs.errors import ParameterError
+from gauge_envs.names import nearest
 
 if TYPE_CHECKING:
     from pydantic import ValidationError
 
 Choice = TypeVar("Choice", bound=Enum)
+
+UNKNOWN = ("extra_forbidden", "unexpected_keyword_argument")
+"""Types of pydantic's errors of a key that does not exist."""
 
 
 def chosen(kind: type[Choice], value: Choice | str, name: str) -> Choice:
@@ -42,9 +46,19 @@ def first_fault(error: ValidationError, *, noun: str = "key") -> tuple[str, str]
         Dotted path of the field, as `score.metrics.0`, empty for the whole model; and the reason, with the value if it
         is short.
     """
-    fault = error.errors(include_url=False)[0]
+    faults = error.errors(include_url=False)
+    unknown = [f["loc"] for f in faults if f["type"] in UNKNOWN]
+    missing = [
+        str(f["loc"][-1])
+        for f in faults
+        if f["type"] == "missing" and f["loc"][:-1] in [loc[:-1] for loc in unknown[:1]]
+    ]
+    if missing:
+        place, name = ".".join(map(str, unknown[0])), str(unknown[0][-1])
+        return place, f"unknown {noun}; {nearest(name, missing)}"
+    fault = faults[0]
     place = ".".join(map(str, fault["loc"]))
-    if fault["type"] in ("extra_forbidden", "unexpected_keyword_argument"):
+    if fault["type"] in UNKNOWN:
         return place, f"unknown {noun}"
     if fault["type"] == "missing":
         return place, f"missing {noun}"

@@ -22,6 +22,7 @@ from scripts import (
     build_coverage,
     build_environments,
     build_hero,
+    build_sanity,
     build_surface,
     release,
     test_matrix,
@@ -42,8 +43,9 @@ DRAWN: Mapping[str, Callable[[], object]] = {
     "cheat_sheet": build_cheat_sheet.draw,
     "engines": build_conformance.draw,
     "hero": build_hero.draw,
+    "sanity": build_sanity.draw,
 }
-"""Builders of scenes in `assets/`, deleted pictures of families, the cheat sheet, the chart, and the first picture."""
+"""Builders of scenes in `assets/`, deleted pictures of families, the cheat sheet, the chart, and pictures of pages."""
 
 
 def build(names: Sequence[str]) -> None:

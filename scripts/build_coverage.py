@@ -1,4 +1,4 @@
-"""Write the references of the ids: by kind in `docs/coverage.md`, as counts in `README.md`.
+"""Write the references of the ids: by kind in `docs/coverage.md`, as counts in `README.md`; and what fabrics show.
 
 The tables leave out imported trials, which differ between users: `gauge list references` reports those.
 """
@@ -49,6 +49,21 @@ def answers_table() -> str:
     return "\n".join(markdown_table(head, rows))
 
 
+def sensitivity_table() -> str:
+    """Return what changes of a fabric do to motions, as `studies/models/sensitivity.py` stored it; bold from 2 %."""
+    file = ROOT / "studies" / "models" / "sensitivity.csv"
+    with file.open(encoding="utf-8", newline="") as stream:
+        head, *rows = csv.reader(stream)
+    marked = [
+        [
+            *row[:3],
+            *(f"**{x}**" if x != "-" and float(x) >= 2.0 else x for x in row[3:]),
+        ]
+        for row in rows
+    ]
+    return "\n".join(markdown_table(["id", "motion [mm]", *head[2:]], marked))
+
+
 def contents() -> dict[Path, str]:
     """Return the pages with their generated parts replaced."""
     names: dict[Kind, list[str]] = {kind: [] for kind in REFERENCES}
@@ -65,4 +80,5 @@ def contents() -> dict[Path, str]:
     page = with_part(PAGE.read_text(encoding="utf-8"), "coverage", SCRIPT, coverage)
     pages = {PAGE: with_part(page, "answers", SCRIPT, answers_table())}
     pages |= page_part(ROOT / "README.md", "references", SCRIPT, references)
-    return pages
+    file = ROOT / "docs" / "fabrics.md"
+    return pages | page_part(file, "sensitivity", SCRIPT, sensitivity_table())

@@ -16,6 +16,7 @@ from gauge_envs.experiments.variants import Variant, beyond_variants, variants
 from gauge_envs.pages.document import Bullets, Document, Heading, Paragraph, Part
 from gauge_envs.pages.table import Table, grid
 from gauge_envs.pages.text import Markdown, shortened
+from gauge_envs.scoring.answers import Answer
 from gauge_envs.tools.catalog.description import description
 from gauge_envs.tools.catalog.report import (
     PLANTED_ERRORS,
@@ -145,11 +146,18 @@ def _frames_text(values: Values) -> str:
 
 
 def _detected(reference: Values) -> tuple[list[str], list[str]]:
-    """Return the planted errors that change the verdict of a score or an event, and those that do not."""
+    """Return the planted errors that change an answer to no, and those that do not."""
     is_detected: dict[str, bool] = {}
-    for _, scores in planted_error_scores(reference):
+    rows = reference["sees"]
+    for row, (_, scores) in zip(rows, planted_error_scores(reference), strict=True):
+        if row["answers"]["nominal"] == Answer.NO:
+            continue
         for title, score in scores.items():
             is_detected[title] = bool(score) or is_detected.get(title, False)
+    if not rows:
+        return ["not tried"], ["not tried"]
+    if not is_detected:
+        return ["nothing: the unchanged scene fails"], []
     detected, missed = [], []
     for title in PLANTED_ERRORS.values():
         if is_detected.get(title):

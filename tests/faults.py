@@ -647,7 +647,7 @@ FAULTS = {
     ),
     "friction 20 % low": Fault(
         caught_by="pucks-friction",
-        says="friction is not Contact.friction",
+        says="friction is smaller than Contact.friction",
         scene=change_contacts(
             lambda contact: replace(contact, friction=0.8 * contact.friction)
         ),

@@ -52,7 +52,7 @@ def test_the_wheel_contains_the_data(wheel):
 
 
 @pytest.mark.slow  # `.ci/matrix` installs the wheel too, and runs more than this.
-def test_the_wheel_alone_is_small_and_scores_outside_the_checkout(
+def test_the_wheel_alone_is_small_and_names_missing_extras(
     wheel, tmp_path, monkeypatch
 ):
     folder = tmp_path / "venv"
@@ -65,11 +65,6 @@ def test_the_wheel_alone_is_small_and_scores_outside_the_checkout(
             [commands / command, *words], capture_output=True, text=True, check=False
         )
 
-    (result,) = run("gauge", "run", "BouncingBall-rubber", "--json").stdout.splitlines()
-    assert json.loads(result)["score"]["rmse_normalized"] == pytest.approx(
-        14.1, abs=0.1
-    )
-    assert "\n75 ids" in run("gauge", "list").stdout
     listed = json.loads(run("pip", "list", "--format", "json").stdout)
     names = {package["name"].lower() for package in listed}
     assert {"gymnasium", "mujoco", "numpy"} <= names

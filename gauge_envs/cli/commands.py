@@ -63,7 +63,7 @@ BUNDLED_COMMANDS = {
         "Score a trajectory from your own simulator; no engine is needed.", version=7
     ),
     "reference": CommandInfo(
-        "Solve a scene at refined steps and cells, and write the solution as its reference."
+        "Solve a scene at refined steps, contacts and cells, and write the solution as its reference."
     ),
     "compare": CommandInfo(
         "Compare engines, parameters and settings: scores with intervals, and ranks.",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -85,7 +86,7 @@ class EpisodeRecording:
         """Record frame 0 of worlds, shape [N], and forget their episodes before."""
         points_m = self._observer.points(self._observer.read(self._simulation))
         self._points_m[0, worlds, -1] = points_m[worlds]
-        self._record(worlds, points_m)
+        self._record(*self._place(worlds), points_m)
 
     def read_points(self, interval: int) -> None:
         """Read the observed points after an interval of a frame, from 0 to 5."""
@@ -101,31 +102,31 @@ class EpisodeRecording:
             States of the dynamic bodies, shape [N, body_count, 13].
         """
         points_m = self._observer.points(self._read_m)
-        self._put(self._points_m, is_running, points_m.swapaxes(0, 1))
-        return self._record(is_running, points_m[-1])
+        place, chosen = self._place(is_running)
+        self._points_m[place] = points_m.swapaxes(0, 1)[chosen]
+        return self._record(place, chosen, points_m[-1])
 
-    def _record(self, chosen: BoolArray, points_m: FloatArray) -> FloatArray:
+    def _record(self, place: Any, chosen: Any, points_m: FloatArray) -> FloatArray:
         """Record the frame of worlds, and return the states of all dynamic bodies, shape [N, body_count, 13]."""
         states = self._simulation.body_states(self._dynamic)
         bodies = states.take(self._recorded, axis=1)
-        self._put(self._bodies, chosen, bodies)
+        self._bodies[place] = bodies[chosen]
         g = self._observer.observe(points_m)
         last = {"observable": g, "bodies": bodies, "markers": points_m.copy()}
         if self._driven:
             last["driver"] = self._simulation.body_states(self._driven)
-        if self._last and not chosen.all():
+        if self._last and isinstance(chosen, np.ndarray):
             for name, rows in last.items():
                 rows[~chosen] = self._last[name][~chosen]
         self._last = last
         return states
 
-    def _put(self, history: FloatArray, chosen: BoolArray, rows: FloatArray) -> None:
-        """Write rows of worlds, shape [N, ...], to a history at their frames, shape [frame_count, N, ...]."""
+    def _place(self, chosen: BoolArray) -> tuple[Any, Any]:
+        """Return the index of the frames of worlds in a history of shape [frame_count, N, ...], and of their rows."""
         if chosen.all() and len(set(self._frames.tolist())) == 1:
             # A slice is faster than indices.
-            history[self._frames[0]] = rows
-        else:
-            history[self._frames[chosen], np.flatnonzero(chosen)] = rows[chosen]
+            return self._frames[0], slice(None)
+        return (self._frames[chosen], np.flatnonzero(chosen)), chosen
 
     def compared(self) -> tuple[FloatArray, FloatArray]:
         """Return g(t) now, shape [N, coordinate_count], and the observed points [m], shape [N, point_count, 3]."""

@@ -74,8 +74,7 @@ class WorldReferences:
         rewards = np.zeros(rollout.world_count)
         for reward, worlds in self._rewards:
             rewards[worlds] = reward.of(frames[worlds], g[worlds], markers_m[worlds])
-        rewards[~rollout.is_running | ~np.isfinite(rewards)] = 0.0
-        return rewards
+        return np.where(rollout.is_running & np.isfinite(rewards), rewards, 0.0)
 
     def score(self, world: int = 0) -> Score:
         """Return the score of a world whose episode is over; if the world diverged, the score has no numbers.

@@ -41,12 +41,7 @@ class Observer(Protocol):
     """Observer of one kind of generalized trajectory in N worlds.
 
     It reads a simulation at each sample, and computes the observed points of many samples in one pass.
-
-    Attributes:
-        width: Number of coordinates of g(t).
     """
-
-    width: int
 
     def read(self, simulation: Simulation) -> FloatArray:
         """Return what gives the points now [m], shape [N, count, 3]; the next interval may overwrite it."""
@@ -63,7 +58,6 @@ class ObserverPositions:
 
     def __init__(self, names: Sequence[str]) -> None:
         self._names = tuple(names)
-        self.width = 3 * len(self._names)
 
     def read(self, simulation: Simulation) -> FloatArray:
         """Return the positions of the bodies now [m]."""
@@ -75,7 +69,7 @@ class ObserverPositions:
 
     def observe(self, points_m: FloatArray) -> FloatArray:
         """Return the positions [mm], shape [..., width]."""
-        return 1e3 * points_m.reshape(*points_m.shape[:-2], self.width)
+        return 1e3 * points_m.reshape(*points_m.shape[:-2], -1)
 
 
 class ObserverMarkers:
@@ -122,7 +116,6 @@ class ObserverMarkers:
             self.indices, self.weights = material_points(targets_m, rest, deformables)
         if self._track is None:
             self._columns = np.flatnonzero(self.weights.any(axis=0)).tolist()
-        self.width = self.observe(self.markers(simulation)).shape[1]
 
     def markers(self, simulation: Simulation) -> FloatArray:
         """Return the markers now [m], shape [N, marker_count, 3]."""

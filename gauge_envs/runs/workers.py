@@ -53,6 +53,10 @@ class CrashError(GaugeError, RuntimeError):
     """The process of a call ended or exceeded a limit before its result."""
 
 
+class TimeLimitError(CrashError):
+    """The process of a call exceeded its time limit."""
+
+
 class Worker:
     """A second Python process that runs calls one after another. It starts at the first call.
 
@@ -111,7 +115,7 @@ class Worker:
             **kwargs: Its keyword arguments.
 
         Raises:
-            CrashError: The process died, or exceeded a limit.
+            CrashError: The process died, or exceeded a limit; a `TimeLimitError` for that of time.
             GaugeError: The function raised an error.
             concurrent.futures.CancelledError: `kill` ended the process.
         """
@@ -126,9 +130,13 @@ class Worker:
                 _end(process)
                 if self._is_killed:
                     raise CancelledError from None
+                if isinstance(fault, TimeoutError):
+                    raise TimeLimitError(
+                        "the engine did not finish within the time limit of "
+                        f"{self._time_limit_s:g} s and was stopped"
+                    ) from None
                 if isinstance(fault, OSError | EOFError | pickle.UnpicklingError):
-                    cause = self._cause(fault, process.returncode)
-                    raise CrashError(cause) from None
+                    raise CrashError(_end_text(process.returncode)) from None
                 raise
         if error is not None:
             raise GaugeError(error)
@@ -175,19 +183,13 @@ class Worker:
             )
             return self._process
 
-    def _cause(self, fault: BaseException, returncode: int) -> str:
-        """Return why a process gave no reply.
 
-        Args:
-            fault: Error while waiting for the reply.
-            returncode: Exit code of the process, or minus its signal.
-        """
-        if isinstance(fault, TimeoutError):
-            return f"the engine did not finish within the time limit of {self._time_limit_s:g} s and was stopped"
-        if returncode < 0:
-            name = (signal.strsignal(-returncode) or "unknown").lower()
-            return f"the engine's process died with signal {-returncode} ({name})"
-        return f"the engine ended its process with exit code {returncode}"
+def _end_text(returncode: int) -> str:
+    """Return how a process ended, from its exit code or minus its signal."""
+    if returncode < 0:
+        name = (signal.strsignal(-returncode) or "unknown").lower()
+        return f"the engine's process died with signal {-returncode} ({name})"
+    return f"the engine ended its process with exit code {returncode}"
 
 
 def call_engine(

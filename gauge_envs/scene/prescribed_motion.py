@@ -119,12 +119,11 @@ class PrescribedMotion:
         """
         rates = actions * self._scale
         samples = np.arange(count + 1)[:, None] + first
-        part = np.minimum(samples, self._count), self._columns
-        recorded = self._targets[
-            np.minimum(samples[:-1], self._count - 1), self._columns
-        ]
         if not (self._offsets.any() or rates.any()):
+            numbers = np.minimum(samples[:-1], self._count - 1)
+            recorded = self._targets[numbers, self._columns]
             return np.broadcast_to(recorded, (count, len(rates), 19))
+        part = np.minimum(samples, self._count), self._columns
         offsets = self._offsets + self._times_s[: count + 1] * rates
         self._offsets = offsets[-1]
         values, part_rates = self._values[part] + offsets, self._rates[part] + rates
@@ -194,7 +193,7 @@ class SimpleTargets:
         # Bits of a product by BLAS would depend on the number of worlds.
         product = partial(np.einsum, "snf,fk->snk")
         states = product(functions, self._values) + self._constant
-        gains = product(np.diff(functions, axis=0), self._gains)
+        gains = product(functions[1:] - functions[:-1], self._gains)
         return states[:-1] + gains, states[..., :7]
 
     def _functions(self, values: FloatArray, rates: FloatArray) -> FloatArray:

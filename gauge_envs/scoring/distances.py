@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -22,7 +23,7 @@ from gauge_envs.scoring.answers import (
     united,
     within,
 )
-from gauge_envs.scoring.exact import exact_motion, law_holds
+from gauge_envs.scoring.exact import Path, exact_path, law_holds
 from gauge_envs.scoring.interval import (
     distance_interval,
     distances_without,
@@ -191,10 +192,10 @@ def _aligned(score: Score, motion: ComparedMotion) -> Score:
 def _from_exact(score: Score, motion: ComparedMotion) -> Score:
     """Return a score with the distance from the exact motion, and the cause of the distance from real trials."""
     experiment, band, frames = motion.experiment, motion.band, motion.frames
-    places = exact_motion(experiment, np.arange(len(frames)) / FRAME_RATE_HZ, band)
-    samples = exact_motion(experiment, motion.times_s, band)
-    if places is None or samples is None:
+    exact_places = exact_path(experiment, band)
+    if exact_places is None:
         return score
+    places = exact_places(np.arange(len(frames)) / FRAME_RATE_HZ)
     exact = band.project(places)
     holds = law_holds(experiment, places, band)
     path = exact[holds]
@@ -215,10 +216,11 @@ def _from_exact(score: Score, motion: ComparedMotion) -> Score:
     from_trials = trajectory_rmse(exact, band.mean)
     if score.time_offset_s is not None:
         distance = _distance_from_exact(
-            experiment, band, frames, holds, score.time_offset_s
+            exact_places, band, frames, holds, score.time_offset_s
         )
         # Both shifts interpolate between the same samples.
-        _, from_trials = time_offset(motion.times_s, band.project(samples), band.mean)
+        samples = band.project(exact_places(motion.times_s))
+        from_trials = _aligned_rmse(motion.times_s.tobytes(), samples.tobytes(), band)
     assert score.distance is not None and score.real_limit is not None, "as documented"
     cause = cause_of(
         is_real=score.distance <= score.real_limit,
@@ -228,8 +230,16 @@ def _from_exact(score: Score, motion: ComparedMotion) -> Score:
     return replace(score, exact=from_trials / of_trials, cause=cause)
 
 
+@lru_cache(maxsize=64)
+def _aligned_rmse(times: bytes, samples: bytes, band: Band) -> float:
+    """Return the RMSE of an exact motion after the best time shift; worlds with the same start have the same."""
+    times_s = np.frombuffer(times)
+    values = np.frombuffer(samples).reshape(len(times_s), -1)
+    return time_offset(times_s, values, band.mean)[1]
+
+
 def _distance_from_exact(
-    experiment: Experiment,
+    exact_places: Path,
     band: Band,
     frames: FloatArray,
     holds: BoolArray,
@@ -240,7 +250,7 @@ def _distance_from_exact(
     The exact motion is shifted, not the other one: its law holds at any time, so nothing is interpolated.
 
     Args:
-        experiment: Experiment with an exact motion.
+        exact_places: The exact path.
         band: The reference.
         frames: The motion at the 30 Hz frames in the coordinates of the reference, shape [T, C].
         holds: Frames at which the law holds, shape [T].
@@ -252,9 +262,8 @@ def _distance_from_exact(
 
     def shifted_rmse(offset_s: FloatArray) -> FloatArray:
         queries_s = times_s[is_compared] - offset_s[..., None]
-        exact = exact_motion(experiment, queries_s.ravel(), band)
-        assert exact is not None, "the experiment has an exact motion"
-        projected = band.project(exact).reshape(*queries_s.shape, -1)
+        exact = band.project(exact_places(queries_s.ravel()))
+        projected = exact.reshape(*queries_s.shape, -1)
         return rms_deviation(projected - frames[is_compared])
 
     return best_offset(shifted_rmse)[1]

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
+from functools import partial
 
 import numpy as np
 
@@ -26,8 +27,11 @@ FLAT_TOLERANCE = 1e-6
 REST_SPEED_M_PER_S = 1e-6
 """Speed below which a ball no longer rebounds [m/s]: it would rise by less than 1e-13 m."""
 
-Law = Callable[[Scene, RigidBody, FloatArray], FloatArray | None]
-"""Positions of a body [m], shape [S, 3], at times since the release [s], shape [S], not negative; None without."""
+Path = Callable[[FloatArray], FloatArray]
+"""Positions of a body, shape [S, 3], at times since the release [s], shape [S]."""
+
+Law = Callable[[Scene, RigidBody], Path | None]
+"""Path of a body [m] at times that are not negative, or None without one."""
 
 TINY = np.finfo(float).tiny
 
@@ -35,24 +39,38 @@ TINY = np.finfo(float).tiny
 def exact_motion(
     experiment: Experiment, times_s: FloatArray, band: Band | None = None
 ) -> FloatArray | None:
-    """Return g(t) of the exact solution of a scene, shape [S, D]; None without a closed form.
-
-    A scene outside the limits of its law has none: another body, a sliding body with a start velocity, or a start
-    without the contact that the law needs. Neither has a scene that a model file of an engine replaces and changes.
+    """Return g(t) of the exact solution of a scene, shape [S, D]; None without a closed form, see `exact_path`.
 
     Args:
         experiment: Experiment with any constants and start.
         times_s: Any times since the release [s], shape [S]. Before 0 the body rests.
         band: Reference of the experiment; None reads it.
     """
+    path = exact_path(experiment, band)
+    return None if path is None else path(times_s)
+
+
+def exact_path(experiment: Experiment, band: Band | None = None) -> Path | None:
+    """Return the exact path of a scene [mm]; None without a closed form.
+
+    A scene outside the limits of its law has none: another body, a sliding body with a start velocity, or a start
+    without the contact that the law needs. Neither has a scene that a model file of an engine replaces and changes.
+
+    Args:
+        experiment: Experiment with any constants and start.
+        band: Reference of the experiment; None reads it.
+    """
     band = band or reference_band(experiment)
     is_replaced = experiment.edited and experiment.model_file is not None
     if band is None or band.exact_law is None or is_replaced:
         return None
-    law, scene = LAWS[band.exact_law], experiment.scene
-    body = scene.body(experiment.recorded[0])
-    positions_m = law(scene, body, np.maximum(times_s, 0.0))
-    return None if positions_m is None else 1e3 * positions_m
+    scene = experiment.scene
+    path_m = LAWS[band.exact_law](scene, scene.body(experiment.recorded[0]))
+    return None if path_m is None else partial(_places_mm, path_m)
+
+
+def _places_mm(path_m: Path, times_s: FloatArray) -> FloatArray:
+    return 1e3 * path_m(np.maximum(times_s, 0.0))
 
 
 def law_holds(experiment: Experiment, places_mm: FloatArray, band: Band) -> BoolArray:
@@ -71,10 +89,8 @@ def law_holds(experiment: Experiment, places_mm: FloatArray, band: Band) -> Bool
     return holds
 
 
-def coulomb_slide(
-    scene: Scene, body: RigidBody, times_s: FloatArray
-) -> FloatArray | None:
-    """Return the positions of a box that slides down a fixed box from rest, see `Law`.
+def coulomb_slide(scene: Scene, body: RigidBody) -> Path | None:
+    """Return the path of a box that slides down a fixed box from rest, see `Law`.
 
     The board at the angle theta carries m g cos(theta), so friction pulls with up to mu m g cos(theta) against the
     m g sin(theta) of the weight: the box slides by g (sin(theta) - mu cos(theta)) t^2 / 2 along the steepest descent.
@@ -94,14 +110,13 @@ def coulomb_slide(
         pull = length_of(along)
         acceleration = max(pull - contact.friction * load, 0.0)
         change = 0.5 * acceleration * (along / max(pull, TINY))
-        return np.add(body.pose.position_m, np.outer(times_s**2, change))
+        start_m = np.array(body.pose.position_m)
+        return lambda times_s: start_m + np.outer(times_s**2, change)
     return None
 
 
-def ideal_rebounds(
-    scene: Scene, ball: RigidBody, times_s: FloatArray
-) -> FloatArray | None:
-    """Return the positions of a ball that flies, with any velocity and spin, and rebounds from a plane, see `Law`.
+def ideal_rebounds(scene: Scene, ball: RigidBody) -> Path | None:
+    """Return the path of a ball that flies, with any velocity and spin, and rebounds from a plane, see `Law`.
 
     The flight is a parabola. An impact takes no time; see `_rebound`. After the last rebound the ball rests on the
     plane and keeps its horizontal velocity: it rolls, if it no longer slips.
@@ -115,7 +130,7 @@ def ideal_rebounds(
         is_level = plane.pose.matrix[2, 2] >= 1.0 - FLAT_TOLERANCE
         if is_level and ball.pose.position_m[2] >= rest_m - CONTACT_TOLERANCE_M:
             gravity = scene.gravity_m_per_s2
-            return _bounces(ball, rest_m, contact, gravity, times_s)
+            return partial(_bounces, ball, rest_m, contact, gravity)
     return None
 
 

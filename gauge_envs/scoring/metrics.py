@@ -54,9 +54,11 @@ def trajectory_rmse(simulated: ArrayLike, real_mean: ArrayLike) -> float:
 
 def rms_deviation(deviation: FloatArray) -> FloatArray:
     """Return the root mean square over frames with a known value of a deviation, shape [..., T, C]; NaN is unknown."""
-    counts = (~np.isnan(deviation).all(axis=-1)).sum(axis=-1)
-    squares = np.nansum(np.square(deviation), axis=(-2, -1))
-    return np.asarray(np.sqrt(squares / counts))
+    is_unknown = np.isnan(deviation)
+    counts = (~is_unknown.all(axis=-1)).sum(axis=-1)
+    squares = np.square(deviation)
+    squares[is_unknown] = 0.0
+    return np.asarray(np.sqrt(squares.sum(axis=(-2, -1)) / counts))
 
 
 def trajectory_dtw(simulated: ArrayLike, real_mean: ArrayLike) -> float:

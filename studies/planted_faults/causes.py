@@ -168,6 +168,17 @@ WORDS = {
 """Patterns of words by which the first line names the cause of a fault."""
 
 
+SETS = {
+    "": {"healthy": Fault()},
+    "contract": FAULTS,
+    **{
+        str(number): {name: entry.fault for name, entry in entries.items()}
+        for number, entries in enumerate((FAULTS3, FAULTS4, FAULTS5, FAULTS6), 3)
+    },
+}
+"""Faults by name, of each set."""
+
+
 def run(engine: Any, has_cloth: bool) -> tuple[dict[str, float | None], list[str]]:
     """Return the failed checks of an engine with their values, and the causes that the report names."""
     levels = {Level.RIGID, Level.CONTACT} | ({Level.CLOTH} if has_cloth else set())
@@ -190,19 +201,8 @@ def main(file: Path) -> None:
     known: dict[str, Any] = {}
     if file.exists():
         known = dict(map(json.loads, file.read_text().splitlines()))
-    sets = {
-        name: {key: entry.fault for key, entry in entries.items()}
-        for name, entries in (
-            ("3", FAULTS3),
-            ("4", FAULTS4),
-            ("5", FAULTS5),
-            ("6", FAULTS6),
-        )
-    }
     healthy = backend("mujoco")
-    for title, faults in (
-        {"": {"healthy": Fault()}} | sets | {"contract": FAULTS}
-    ).items():
+    for title, faults in SETS.items():
         for name in faults.keys() - known.keys():
             engine = faults[name].engine(healthy, faults[name])
             known[name] = run(engine, "cloth" in name)

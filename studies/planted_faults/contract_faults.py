@@ -43,17 +43,19 @@ def scaled_gravity(factor: float) -> Fault:
     )
 
 
-def _all_pairs(scene: Scene) -> Scene:
+def all_pairs(scene: Scene, is_free: bool = False) -> Scene:
+    """Return a scene in which all pairs with a free body collide, or only pairs of free bodies."""
     known = {
         frozenset(pair)
         for contact in scene.contacts
         for pair in scene.colliding_pairs(contact)
     }
     moving = {body.name for body in scene.dynamic_bodies}
+    bodies = scene.dynamic_bodies if is_free else scene.bodies
     extra = [
         Contact(first=(one.name,), second=(other.name,), friction=0.5, restitution=0.0)
-        for at, one in enumerate(scene.bodies)
-        for other in scene.bodies[at + 1 :]
+        for at, one in enumerate(bodies)
+        for other in bodies[at + 1 :]
         if {one.name, other.name} & moving
         and frozenset((one.name, other.name)) not in known
     ]
@@ -218,7 +220,7 @@ FAULTS = {
     "soft contacts": changed_model(_soft),
     "few iterations": changed_model(_few_iterations),
     "regularized": changed_model(_soft_friction),
-    "all pairs collide": Fault(scene=_all_pairs),
+    "all pairs collide": Fault(scene=all_pairs),
     "dynamic pairs pass": Fault(scene=_no_free_pairs),
     "tether long": Fault(scene=_long_tether),
 } | {

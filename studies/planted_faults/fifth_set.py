@@ -23,9 +23,10 @@ from gauge_envs.scene import (
 from studies.planted_faults.contract_faults import changed_model, scaled_bodies
 from studies.planted_faults.third_set import (
     NEVER,
-    Entry,
+    DeepContacts,
     bodies_of_pair,
     dofs,
+    entry,
     free,
 )
 from tests.faults import Fault, Planted, change_bodies, change_contacts
@@ -112,22 +113,11 @@ def _stacks_sink(model, simulation):
             model.pair_margin[index] -= 1e-3
 
 
-class _FastPass(Planted):
+class _FastPass(DeepContacts):
     """Bodies faster than 5 m/s have no contacts."""
 
-    def advance(self, seconds):
-        model = self.model
-        if not hasattr(self, "_margins"):
-            self._margins = model.pair_margin.copy()
-            self._pairs = [set(bodies_of_pair(model, i)) for i in range(model.npair)]
-        fast = {
-            body.name
-            for body in free(self.given)
-            if np.linalg.norm(self.data.qvel[dofs(model, body.name)][:3]) > 5.0
-        }
-        for index, pair in enumerate(self._pairs):
-            model.pair_margin[index] = NEVER if pair & fast else self._margins[index]
-        super().advance(seconds)
+    def depth_m(self, body, velocities):
+        return -NEVER if np.linalg.norm(velocities[:3]) > 5.0 else 0.0
 
 
 class _FirstRunDiffers(Planted):
@@ -314,90 +304,86 @@ class _SpinOfStartInBody(Planted):
                 data.qvel[rows.start + 3 : rows.stop] = turn.apply(spin, inverse=True)
 
 
-def _other(thread, says, cause, fault):
-    return Entry(thread, says, says, cause, fault)
-
-
 FAULTS5 = {
-    "hull offset": _other(
+    "hull offset": entry(
         "stride3d/stride issue 3384; bjornbytes/lovr issue 848",
         "the offset of a convex hull is lost or not turned",
         "Convex solids collide at another place.",
         changed_model(_hull_offset),
     ),
-    "uneven friction": _other(
+    "uneven friction": entry(
         "dimforge/rapier issue 137",
         "friction has a wrong component along an axis",
         "Friction depends on the direction.",
         changed_model(_uneven_friction),
     ),
-    "hinged inertia": _other(
+    "hinged inertia": entry(
         "dimforge/rapier issue 86",
         "a pendulum with a non-uniform inertia is wrong",
         "Hinged bodies have another inertia.",
         changed_model(_hinged_sphere),
     ),
-    "rollers hop": _other(
+    "rollers hop": entry(
         "chandlerprall/GoblinPhysics pull 74",
         "a rolling sphere bounces on a flat surface since its spin counts as approach",
         "Rolling bodies hop.",
         Fault(simulation=_RollersHop),
     ),
-    "velocity of driven bodies": _other(
+    "velocity of driven bodies": entry(
         "godot-jolt/godot-jolt pull 463; erincatto/box2d issue 117",
         "kinematic bodies have no velocity in collisions",
         "Friction does not see the velocity of driven bodies.",
         Fault(simulation=_NoVelocityOfDriven),
     ),
-    "stacks sink": _other(
+    "stacks sink": entry(
         "melonjs/melonJS pull 1692",
         "stacked boxes settle inside each other",
         "Free bodies sink into free bodies.",
         changed_model(_stacks_sink),
     ),
-    "fast bodies pass": _other(
+    "fast bodies pass": entry(
         "liabru/matter-js issue 1117",
         "fast bodies penetrate",
         "Fast bodies have no contacts.",
         Fault(simulation=_FastPass),
     ),
-    "first run differs": _other(
+    "first run differs": entry(
         "bulletphysics/bullet3 issue 2639",
         "the first reset of an environment behaves differently",
         "The first run differs from later ones.",
         Fault(simulation=_FirstRunDiffers),
     ),
-    "simulations share time": _other(
+    "simulations share time": entry(
         "StanfordVL/BEHAVIOR-1K pull 699",
         "a step of one environment also steps the others of the process",
         "Simulations are not independent of each other.",
         Fault(simulation=_AllAdvance),
     ),
-    "deflected slides": _other(
+    "deflected slides": entry(
         "DanielChappuis/reactphysics3d issue 85",
         "boxes slide to the right of their initial velocity",
         "Friction is not against the motion: it deflects.",
         Fault(simulation=_Deflected),
     ),
-    "centre of mass mirrored": _other(
+    "centre of mass mirrored": entry(
         "avianphysics/avian issue 108",
         "the body behaves as if the centre of mass was on the other side",
         "The centre of mass is misplaced.",
         scaled_bodies("body_ipos", -1.0),
     ),
-    "rubbing hinges": _other(
+    "rubbing hinges": entry(
         "own",
         "2 mN m of dry friction in hinges",
         "Hinges rub.",
         changed_model(_rubbing_hinges),
     ),
-    "light bodies float": _other(
+    "light bodies float": entry(
         "own",
         "no gravity below 1 g",
         "Gravity is wrong for some bodies.",
         Fault(simulation=_LightFloat),
     ),
-    "root of restitution": _other(
+    "root of restitution": entry(
         "own",
         "restitution is its square root",
         "Restitution is too large at every speed.",
@@ -405,19 +391,19 @@ FAULTS5 = {
             scene=change_contacts(lambda c: replace(c, restitution=c.restitution**0.5))
         ),
     ),
-    "root of friction": _other(
+    "root of friction": entry(
         "own",
         "friction is its square root",
         "Friction of each pair has another factor: too large.",
         Fault(scene=change_contacts(lambda c: replace(c, friction=c.friction**0.5))),
     ),
-    "wrenches add": _other(
+    "wrenches add": entry(
         "own",
         "a wrench adds to that of earlier calls",
         "apply_wrench applies another multiple: earlier calls add.",
         Fault(simulation=_WrenchesAdd),
     ),
-    "torsion times friction": _other(
+    "torsion times friction": entry(
         "own",
         "torsion_m is multiplied by the friction",
         "Torsional friction has another unit.",
@@ -427,55 +413,55 @@ FAULTS5 = {
             )
         ),
     ),
-    "shifted worlds": _other(
+    "shifted worlds": entry(
         "own",
         "worlds have the start of a neighbour",
         "Worlds have another world's start.",
         Fault(worlds=_ShiftedWorlds),
     ),
-    "forces in contact frame": _other(
+    "forces in contact frame": entry(
         "own",
         "contact_forces have the normal first",
         "contact_forces have another frame.",
         Fault(simulation=_ForceInContactFrame),
     ),
-    "tall boxes": _other(
+    "tall boxes": entry(
         "own",
         "free boxes are 0.6 mm higher in contacts",
         "Boxes have another size in contacts.",
         changed_model(_tall_boxes),
     ),
-    "strings taut": _other(
+    "strings taut": entry(
         "own",
         "a string is as long as its start",
         "Strings have another length.",
         Fault(scene=_taut_strings),
     ),
-    "cylinder as box": _other(
+    "cylinder as box": entry(
         "own",
         "cylinders have the inertia of boxes",
         "Cylinders have another inertia.",
         changed_model(_cylinder_as_box),
     ),
-    "air drag": _other(
+    "air drag": entry(
         "own",
         "quadratic drag of 0.05/m",
         "Velocities of free bodies are damped.",
         Fault(simulation=_AirDrag),
     ),
-    "last contact wins": _other(
+    "last contact wins": entry(
         "own",
         "all contacts have the friction of the last",
         "Friction is not that of the pair.",
         Fault(scene=_last_contact_wins),
     ),
-    "small spheres": _other(
+    "small spheres": entry(
         "own",
         "spheres are 1 % smaller",
         "Spheres have another size.",
         Fault(scene=change_bodies(_radius)),
     ),
-    "start spin in body frame": _other(
+    "start spin in body frame": entry(
         "own",
         "reset takes the spin in the body frame",
         "The start's spin has another frame.",

@@ -4,6 +4,7 @@ They were written after the rules of causes, with the words that name them, and 
 """
 
 from dataclasses import replace
+from functools import partial
 from typing import ClassVar
 
 import numpy as np
@@ -12,7 +13,6 @@ from gauge_envs.backends import LoopedSimulation
 from gauge_envs.scene import (
     Capsule,
     Compound,
-    Contact,
     Cylinder,
     Hinge,
     Motion,
@@ -20,12 +20,13 @@ from gauge_envs.scene import (
     Sphere,
     body_mass_properties,
 )
-from studies.planted_faults.contract_faults import changed_model
+from studies.planted_faults.contract_faults import all_pairs, changed_model
 from studies.planted_faults.third_set import (
-    Entry,
+    DeepContacts,
     Stepped,
     bodies_of_pair,
     dofs,
+    entry,
     free,
 )
 from tests.faults import Fault, Planted, change_bodies, change_contacts
@@ -53,24 +54,12 @@ def _inertia_along_y(model, simulation):
             model.body_iquat[row] = [1.0, 0.0, 0.0, 0.0]
 
 
-class _SpinningSink(Planted):
+class _SpinningSink(DeepContacts):
     """Balls that spin faster than 8 rad/s sink by 2 mm."""
 
-    def advance(self, seconds):
-        model = self.model
-        if not hasattr(self, "_margins"):
-            self._margins = model.pair_margin.copy()
-            self._pairs = [set(bodies_of_pair(model, i)) for i in range(model.npair)]
-        fast = {
-            body.name
-            for body in free(self.given)
-            if isinstance(body.shape, Sphere)
-            and np.linalg.norm(self.data.qvel[dofs(model, body.name)][3:]) > 8.0
-        }
-        for index, pair in enumerate(self._pairs):
-            depth = 2e-3 if pair & fast else 0.0
-            model.pair_margin[index] = self._margins[index] - depth
-        super().advance(seconds)
+    def depth_m(self, body, velocities):
+        is_fast = np.linalg.norm(velocities[3:]) > 8.0
+        return 2e-3 if is_fast and isinstance(body.shape, Sphere) else 0.0
 
 
 class _WrenchGrows(Planted):
@@ -89,23 +78,6 @@ class _WrenchGrows(Planted):
             pushed[1] += 1
             super().apply_wrench(body, pushed[0] * pushed[1])
         super().advance(seconds)
-
-
-def _free_pairs_collide(scene):
-    """All pairs of free bodies collide."""
-    known = {
-        frozenset(pair)
-        for contact in scene.contacts
-        for pair in scene.colliding_pairs(contact)
-    }
-    names = [body.name for body in scene.dynamic_bodies]
-    extra = [
-        Contact(first=(one,), second=(other,), friction=0.5, restitution=0.0)
-        for at, one in enumerate(names)
-        for other in names[at + 1 :]
-        if frozenset((one, other)) not in known
-    ]
-    return replace(scene, contacts=(*scene.contacts, *extra))
 
 
 class _Swapped(Planted):
@@ -292,141 +264,137 @@ def _raised_planes(body):
     return replace(body, pose=replace(body.pose, position_m=tuple(lifted)))
 
 
-def _fault(thread, says, cause, fault):
-    return Entry(thread, says, says, cause, fault)
-
-
 FAULTS6 = {
-    "friction over points": _fault(
+    "friction over points": entry(
         "bepu/bepuphysics2 pull 410",
         "convex manifolds divide the friction by the number of contacts",
         "Friction of faces is too small; that of balls is right.",
         changed_model(_friction_over_points),
     ),
-    "cylinder inertia along y": _fault(
+    "cylinder inertia along y": entry(
         "newton-physics/newton pull 505",
         "the inertia of cylinders is about another axis",
         "Cylinders have another inertia.",
         changed_model(_inertia_along_y),
     ),
-    "spinning balls sink": _fault(
+    "spinning balls sink": entry(
         "avianphysics/avian pull 1023",
         "fast balls sink into the ground",
         "Spinning or rolling balls sink.",
         Fault(simulation=_SpinningSink),
     ),
-    "wrench grows": _fault(
+    "wrench grows": entry(
         "anthonytorlucci/rlevo pull 250",
         "forces are never cleared and accumulate",
         "apply_wrench applies a multiple.",
         Fault(simulation=_WrenchGrows),
     ),
-    "free pairs collide": _fault(
+    "free pairs collide": entry(
         "schteppe/cannon.js issue 261; hecht-software/box2dweb issue 25",
         "filters of pairs are ignored",
         "Bodies collide that have no contact.",
-        Fault(scene=_free_pairs_collide),
+        Fault(scene=partial(all_pairs, is_free=True)),
     ),
-    "velocity and spin swapped": _fault(
+    "velocity and spin swapped": entry(
         "RoboVerseOrg/RoboVerse pull 204",
         "spatial velocities have the angular part first",
         "Reported velocities and spins are swapped.",
         Fault(simulation=_Swapped),
     ),
-    "start velocities ignored": _fault(
+    "start velocities ignored": entry(
         "isaac-sim/IsaacLab issue 5064",
         "a written velocity does not reach the solver",
         "reset(starts) ignores velocities.",
         Fault(simulation=_NoStartVelocity),
     ),
-    "lifted at impacts": _fault(
+    "lifted at impacts": entry(
         "piqnt/planck.js issue 223",
         "removal of overlap adds height, so that a ball jumps higher",
         "Impacts add energy: rebounds are too high.",
         Fault(simulation=_Lifted),
     ),
-    "global friction": _fault(
+    "global friction": entry(
         "gazebosim/gazebo-classic issue 989",
         "boxes with different coefficients slide at the same rate",
         "Friction is not that of the pair but one value.",
         Fault(scene=change_contacts(lambda c: replace(c, friction=0.4))),
     ),
-    "gravity in a part of the steps": _fault(
+    "gravity in a part of the steps": entry(
         "bulletphysics/bullet3 pull 668",
         "gravity does not act in all substeps",
         "Gravity is too small.",
         Fault(simulation=_GravityInFirstSteps),
     ),
-    "stale after reset": _fault(
+    "stale after reset": entry(
         "unilabsim/unisim issue 143",
         "states are not refreshed by a reset until the next step",
         "States right after a reset are those of before.",
         Fault(simulation=_StaleAfterReset),
     ),
-    "shared gravity": _fault(
+    "shared gravity": entry(
         "StanfordVL/BEHAVIOR-1K pull 699",
         "environments of a process share their physics",
         "Simulations share gravity.",
         Fault(simulation=_SharedGravity),
     ),
-    "anchor off": _fault(
+    "anchor off": entry(
         "own", "3 mm", "Hinges have another anchor.", Fault(scene=_anchor_off)
     ),
-    "heavy compounds": _fault(
+    "heavy compounds": entry(
         "own",
         "1.5 times the mass of compounds",
         "Some bodies have another mass.",
         Fault(scene=change_bodies(_heavy_compounds)),
     ),
-    "no spin of drive": _fault(
+    "no spin of drive": entry(
         "own",
         "drive() ignores the spin",
         "Driven bodies lack their spin.",
         Fault(simulation=_NoSpinOfDrive),
     ),
-    "dead solids": _fault(
+    "dead solids": entry(
         "own",
         "only balls rebound",
         "Bodies other than balls do not rebound.",
         Fault(scene=_dead_solids),
     ),
-    "tilted gravity": _fault(
+    "tilted gravity": entry(
         "own",
         "2 degrees",
         "Gravity has another direction.",
         changed_model(_tilted_gravity),
     ),
-    "order of pairs": _fault(
+    "order of pairs": entry(
         "own",
         "friction x 0.5 if the fixed body comes first",
         "Friction depends on the order of the pair.",
         Fault(scene=_order_of_pairs),
     ),
-    "force limit": _fault(
+    "force limit": entry(
         "own",
         "forces above 0.05 N are cut",
         "apply_wrench applies a smaller force.",
         Fault(simulation=_ForceLimit),
     ),
-    "only the first world driven": _fault(
+    "only the first world driven": entry(
         "own",
         "other worlds have no driven motion",
         "Worlds lack their driven motion.",
         Fault(worlds=_OnlyFirstDriven),
     ),
-    "whole frames": _fault(
+    "whole frames": entry(
         "own",
         "advance drops what is left of 1/240 s",
         "advance simulates another time.",
         Fault(simulation=_WholeFrames),
     ),
-    "half friction reported": _fault(
+    "half friction reported": entry(
         "own",
         "contact_forces with half of the friction",
         "contact_forces have another friction.",
         Fault(simulation=_HalfFriction),
     ),
-    "raised planes": _fault(
+    "raised planes": entry(
         "own",
         "1 mm",
         "Planes are too high.",

@@ -38,6 +38,11 @@ class Entry:
     fault: Fault
 
 
+def entry(thread, says, cause, fault):
+    """Return an entry whose tracker says what is planted."""
+    return Entry(thread, says, says, cause, fault)
+
+
 # --- helpers ---
 
 
@@ -86,6 +91,29 @@ def matrix(data, model, name):
     out = np.empty(9)
     mujoco.mju_quat2Mat(out, data.qpos[first + 3 : first + 7])
     return out.reshape(3, 3)
+
+
+class DeepContacts(Planted):
+    """Pairs of some balls or bodies overlap, or never touch."""
+
+    def depth_m(self, body, velocities):
+        """Return by how much a free body overlaps others [m], from its velocity and spin."""
+        raise NotImplementedError
+
+    def advance(self, seconds):
+        """Set the depths, and advance."""
+        model = self.model
+        if not hasattr(self, "_margins"):
+            self._margins = model.pair_margin.copy()
+            self._pairs = [set(bodies_of_pair(model, i)) for i in range(model.npair)]
+        depths = {
+            body.name: self.depth_m(body, self.data.qvel[dofs(model, body.name)])
+            for body in free(self.given)
+        }
+        for index, pair in enumerate(self._pairs):
+            deepest = max(depths.get(name, 0.0) for name in pair)
+            model.pair_margin[index] = self._margins[index] - deepest
+        super().advance(seconds)
 
 
 class Stepped(Planted):

@@ -292,7 +292,7 @@ LOG_KINDS = {
     "sign": ("sign of",),
     "zero": ("zero",),
     "order": ("exchanged", "order"),
-    "axes": ("is up",),
+    "axes": ("other axes",),
     "base": ("fixed",),
     "spikes": ("spikes",),
     "held": ("repeat the position", "held for"),

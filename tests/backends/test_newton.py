@@ -30,18 +30,6 @@ def score_of(name, parameters="published", **settings):
     return run_episode(request).score
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["Turntable-2-metal", "NonsmoothContact-1-wood"])
-def test_the_same_scene_moves_in_newton_as_in_mujoco(rollout, name):
-    ours, theirs = (
-        rollout(name, frames=66, backend=engine)[1].samples
-        for engine in ("newton", "mujoco")
-    )
-    distances = np.linalg.norm(ours - theirs, axis=1)
-    moved = np.linalg.norm(np.ptp(theirs, axis=0))
-    assert np.sqrt(np.square(distances).mean()) < 0.03 * moved
-
-
 @pytest.mark.parametrize(
     ("count", "preset", "impedance"), [(2, "rigid", 0.5), (3, "stack", 0.99)]
 )

@@ -118,7 +118,7 @@ def test_the_longest_matching_key_gives_the_provenance():
 @pytest.mark.parametrize(
     ("family", "old", "new", "message"),
     [
-        ("SlopeSlider", "title = ", "titel = ", "title: missing key"),
+        ("SlopeSlider", "title = ", "titel = ", "titel: unknown key; did you mean title?"),
         ("SlopeSlider", "recorded = true", "recordet = true", "recordet: unkn"),
         ("SlopeSlider", "mass_kg = 0.0903", "mass_kg = -0.0903", "cube.wood.mass_kg: "),
         ("SlopeSlider", "restitution = 0.22", "restitution = 1.2", "restitution: "),

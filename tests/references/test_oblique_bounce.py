@@ -135,7 +135,7 @@ def test_the_closed_form_is_two_integrated_impacts(seed, inertia_ratio):
         speed = velocity[2]
         since_s = speed / GRAVITY
         times_s = np.array([bounce_s, bounce_s + since_s])
-        places_m = ideal_rebounds(scene, ball, times_s)
+        places_m = ideal_rebounds(scene, ball)(times_s)
         shift_m = since_s * velocity - [0.0, 0.0, 0.5 * GRAVITY * since_s**2]
         assert np.diff(places_m, axis=0)[0] == pytest.approx(shift_m, abs=1e-6)
         bounce_s += 2.0 * since_s

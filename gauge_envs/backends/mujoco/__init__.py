@@ -1,15 +1,14 @@
-"""MuJoCo backend, the default engine."""
+"""MuJoCo backend, the default engine. The first build imports the engine."""
+
+from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from types import MappingProxyType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from gauge_envs.backends.features import Feature
-from gauge_envs.backends.mujoco.deformables import unsupported_features
 from gauge_envs.backends.mujoco.fabrics import flex_constants
-from gauge_envs.backends.mujoco.model import build_model
 from gauge_envs.backends.mujoco.settings import settings_for
-from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo
 from gauge_envs.backends.mujoco.versions import (
     without_absent,
     without_deformables,
@@ -18,6 +17,9 @@ from gauge_envs.backends.shared.bundled import BundledBackend
 from gauge_envs.backends.simulation import Simulation
 from gauge_envs.errors import UnsupportedSceneError
 from gauge_envs.scene import Scene
+
+if TYPE_CHECKING:
+    from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo
 
 __all__ = ["BackendMuJoCo"]
 
@@ -51,6 +53,8 @@ class BackendMuJoCo(BundledBackend):
 
     def unsupported(self, scene: Scene) -> Iterator[str]:
         """Yield the unsupported features, such as cloth on a dynamic body or, below MuJoCo 4, deformable bodies."""
+        from gauge_envs.backends.mujoco.deformables import unsupported_features
+
         yield from without_deformables(scene)
         yield from unsupported_features(scene)
 
@@ -78,6 +82,9 @@ class BackendMuJoCo(BundledBackend):
         settings: Mapping[str, Any] | None,
     ) -> SimulationMuJoCo:
         """Build worlds of one model."""
+        from gauge_envs.backends.mujoco.model import build_model
+        from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo
+
         for reason in without_deformables(scene):
             raise UnsupportedSceneError(reason)
         chosen = settings_for(scene, settings)

@@ -201,28 +201,6 @@ def _override(model: mujoco.MjModel, constants: FloatArray) -> None:
 # --- settings ---------------------------------------------------------------------------------------------------------
 
 
-def effective_constants(model: mujoco.MjModel, constants: FloatArray) -> FloatArray:
-    """Return contact constants with zeros for constants that `contact_settings` does not use.
-
-    These are constants without effect in the model, and sliding friction, unless the model overrides it, since
-    experiments have the friction of real objects.
-
-    Args:
-        model: The model.
-        constants: Constants in the columns `COLUMNS`, shape [..., 17].
-    """
-    effective = constants.copy()
-    dimension = effective[..., 0]
-    friction = effective[..., COLUMNS["friction"]]
-    if not overrides_contacts(model):
-        friction[..., :2] = 0.0
-    friction[..., 2][dimension < 4] = 0.0
-    friction[..., 3:][dimension < 6] = 0.0
-    if model.opt.cone != mujoco.mjtCone.mjCONE_ELLIPTIC:
-        effective[..., COLUMNS["solreffriction"]] = 0.0
-    return effective
-
-
 def contact_settings(model: mujoco.MjModel, constants: FloatArray) -> dict[str, Any]:
     """Return the settings that give every contact a pair's constants; settings at their defaults are left out.
 

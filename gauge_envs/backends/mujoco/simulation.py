@@ -100,6 +100,8 @@ class SimulationMuJoCo(PlacedSimulation):
             self._air = [AirOnCloth(scene.air, part, self.data) for part in cloths]
         self._folds = self._fold_watch()
         self._force_readers: list[list[MeanForces]] = [[] for _ in self.datas]
+        # Whether nothing acts or reads between the steps of an interval.
+        self._is_plain = not self._air
         self.placed = placed_states(scene)
         self._moving = {
             body.name: self._moving_body(body)
@@ -179,18 +181,10 @@ class SimulationMuJoCo(PlacedSimulation):
 
     def _prepared(self, body: str, targets: FloatArray) -> Callable[[int], None]:
         if body not in self._driven:
-            self._driven[body] = _DrivenBody(self.model, self.datas, body)
-        write = self._driven[body].prepared(targets)
-        grips = [grip for grip in self.grips if grip.body == body]
-        if not grips:
-            return write
-
-        def drive(interval: int) -> None:
-            write(interval)
-            for grip in grips:
-                grip.follow()
-
-        return drive
+            driven = _DrivenBody(self.model, self.datas, body)
+            driven.grips = [grip for grip in self.grips if grip.body == body]
+            self._driven[body] = driven
+        return self._driven[body].prepared(targets)
 
     def apply_wrench(self, body: str, wrenches: FloatArray) -> None:
         """Apply a force and a torque to a dynamic body; see `Simulation.apply_wrench`."""
@@ -224,9 +218,8 @@ class SimulationMuJoCo(PlacedSimulation):
 
     def _step_worlds(self, thread: int, count: int) -> None:
         """Step the worlds of a thread."""
-        is_plain = not self._air and not any(self._force_readers)
         for world in range(thread, self.world_count, self._thread_count):
-            if is_plain:
+            if self._is_plain:
                 mujoco.mj_step(self.model, self.datas[world], count)
             else:
                 self._step(world, count)
@@ -305,6 +298,7 @@ class SimulationMuJoCo(PlacedSimulation):
         ]
         for known, reader in zip(self._force_readers, readers, strict=True):
             known.append(reader)
+        self._is_plain = False
         return lambda: np.concatenate([reader.mean() for reader in readers])
 
     def close(self) -> None:
@@ -382,7 +376,13 @@ class _FreeBody:
 
 
 class _DrivenBody(_FreeBody):
-    """Views of MuJoCo's arrays with the state, force and mass of a driven body in all worlds."""
+    """Views of MuJoCo's arrays with the state, force and mass of a driven body in all worlds.
+
+    Attributes:
+        grips: Nodes of soft bodies that move with it.
+    """
+
+    grips: Sequence[Grip] = ()
 
     def __init__(
         self, model: mujoco.MjModel, datas: Sequence[mujoco.MjData], name: str
@@ -417,6 +417,8 @@ class _DrivenBody(_FreeBody):
             for views, rows in zip(self._views, given, strict=True):
                 for view, row in zip(views, rows, strict=True):
                     view[:] = row
+            for grip in self.grips:
+                grip.follow()
 
         return write
 

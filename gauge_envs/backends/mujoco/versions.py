@@ -3,15 +3,18 @@
 Every setting and every kind of body that an older version lacks is declared here, and nowhere else.
 """
 
+from __future__ import annotations
+
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any
-
-import mujoco
+from typing import TYPE_CHECKING, Any
 
 from gauge_envs.errors import ParameterError
 from gauge_envs.names import first_names
 from gauge_envs.scene import Scene
+
+if TYPE_CHECKING:
+    import mujoco
 
 DEFORMABLES_SINCE = "4.0"
 """First version whose deformable bodies have the constants that this backend sets."""
@@ -34,7 +37,7 @@ class LaterSetting:
     @property
     def is_installed(self) -> bool:
         """Whether the installed version has it."""
-        return _release(mujoco.__version__) >= _release(self.since)
+        return _release(_installed()) >= _release(self.since)
 
 
 LATER_SETTINGS = (
@@ -51,6 +54,8 @@ FAULTY_SPARSE = frozenset({"4.0.0"})
 
 def sparse_advice(model: mujoco.MjModel) -> str:
     """Return the advice for a model that the installed release may solve wrongly; empty for other models."""
+    import mujoco
+
     is_newton = model.opt.solver == mujoco.mjtSolver.mjSOL_NEWTON
     if mujoco.__version__ in FAULTY_SPARSE and is_newton and mujoco.mj_isSparse(model):
         return (
@@ -58,6 +63,13 @@ def sparse_advice(model: mujoco.MjModel) -> str:
             '<option jacobian="dense"/>'
         )
     return ""
+
+
+def _installed() -> str:
+    """Return the installed version; reports that only name the engine do not import it."""
+    import mujoco
+
+    return mujoco.__version__
 
 
 def _release(version: str) -> list[int]:
@@ -92,16 +104,16 @@ def check_installed(chosen: Mapping[str, Any], changes: Mapping[str, Any]) -> No
         else:
             continue
         raise ParameterError(
-            f"MuJoCo setting {later.setting!r}: the installed MuJoCo {mujoco.__version__} {what}, since it came with "
+            f"MuJoCo setting {later.setting!r}: the installed MuJoCo {_installed()} {what}, since it came with "
             f"MuJoCo {later.since}: {fix}, or install a later version"
         )
 
 
 def without_deformables(scene: Scene) -> Iterator[str]:
     """Yield the reason why the installed version cannot simulate the deformable bodies of a scene."""
-    if scene.deformables and _release(mujoco.__version__) < _release(DEFORMABLES_SINCE):
+    if scene.deformables and _release(_installed()) < _release(DEFORMABLES_SINCE):
         names = first_names([repr(body.name) for body in scene.deformables], 3)
         yield (
             f"deformable bodies ({names}) need MuJoCo {DEFORMABLES_SINCE}, whose constants for them differ from "
-            f"those of the installed MuJoCo {mujoco.__version__}: install mujoco>={DEFORMABLES_SINCE}"
+            f"those of the installed MuJoCo {_installed()}: install mujoco>={DEFORMABLES_SINCE}"
         )

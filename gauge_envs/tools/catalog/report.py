@@ -172,7 +172,7 @@ def reference_text(reference: Mapping[str, Any], *, frames: int) -> str:
         uncertainty = distance_text(reference, "standard_uncertainty")
         zero_motion = distance_text(reference, "zero_motion_distance")
         parts.append(f"standard uncertainty u = {uncertainty}")
-        parts.append(f"a scene without motion is {zero_motion} away")
+        parts.append(f"if nothing moved, the error would be {zero_motion}")
         if reference["known_frames"] < frames:
             parts.append(f"known at {reference['known_frames']} of {frames} frames")
     return "; ".join(parts)

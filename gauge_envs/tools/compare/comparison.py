@@ -364,7 +364,7 @@ def _deviations(
         scale = _scale(experiment, band, results[0].score.primary)
         deviations = Deviations.of(
             band,
-            [reference.deviation(read(result)) for result in results],
+            (reference.deviation(read(result)) for result in results),
             [result.seed for result in results],
             scale=scale,
             is_aligned=results[0].score.primary == ALIGNED.key,

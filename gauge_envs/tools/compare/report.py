@@ -53,10 +53,9 @@ SCALE_NOTE = (
     "Distances from a solution are divided by its motion."
 )
 
-SHORT_NOTE = (
-    "Distance over that of real trials, or over the motion of a solution. exact: the exact motion with the same "
-    "constants. --format wide: intervals."
-)
+SHORT_NOTE = "Distance over that of real trials, or over the motion of a solution. --format wide: intervals."
+
+EXACT_NOTE = "exact: the exact motion with the same constants."
 
 RANK_NOTE = "[best, worst] rank that the uncertainty allows, among configurations with the same constants."
 
@@ -184,7 +183,7 @@ def _answer(rankings: Sequence[Mapping[int, Mean]], all_labels: Sequence[str]) -
                 firsts[all_labels[index]] += 1
     count = counted(len(rankings), "experiment")
     shared = len(rankings) - firsts.total()
-    if len(members) == 2:
+    if len(members) == 2 and shared:
         closer = (f"{label} is closer on {wins}" for label, wins in firsts.items())
         return f"{'; '.join([f'Same on {shared} of {count}', *closer])}."
     closest = [f"{label} on {wins}" for label, wins in firsts.items()]
@@ -352,7 +351,7 @@ def _score_table(
     for index, label in enumerate(comparison.labels):
         columns.append(Column(f"scores.{index}", label, is_number=True))
     columns += _exact_columns(comparison, rows)
-    if is_full:
+    if is_full and any(row["published"] for row in rows):
         for engine, title in PUBLISHED_ENGINES.items():
             key, paper_title = f"published.{engine}", f"{title}, paper"
             columns.append(Column(key, paper_title, score_text, is_number=True))
@@ -360,7 +359,7 @@ def _score_table(
         title="Scores, with 95 % intervals" if is_full else "Scores",
         columns=tuple(columns),
         rows=rows,
-        notes=tuple(_score_notes(comparison, is_full=is_full)),
+        notes=tuple(_score_notes(comparison, columns, rows, is_full=is_full)),
     )
 
 
@@ -454,13 +453,20 @@ def _outcome_texts(cell: Cell) -> list[str]:
     return texts
 
 
-def _score_notes(comparison: ScoreComparison, *, is_full: bool) -> Iterator[str]:
-    """Yield the notes of the table of scores."""
-    if is_full:
-        yield SCALE_NOTE
-        yield f"{INTERVAL_NOTE} {WRONG_NOTE}"
-    else:
-        yield f"{SHORT_NOTE} {WRONG_NOTE}"
+def _score_notes(
+    comparison: ScoreComparison,
+    columns: Sequence[Column],
+    rows: Sequence[dict[str, Any]],
+    *,
+    is_full: bool,
+) -> Iterator[str]:
+    """Yield the notes of the table of scores, those of its columns and marks alone."""
+    notes = [SCALE_NOTE, INTERVAL_NOTE] if is_full else [SHORT_NOTE]
+    if any(column.title.startswith("exact") for column in columns):
+        notes.append(EXACT_NOTE)
+    if any(text.endswith("*") for row in rows for text in row["scores"]):
+        notes.append(WRONG_NOTE)
+    yield " ".join(notes)
     yield " ".join(_configuration_notes(comparison.configurations))
     for note in comparison.notes:
         yield f"Note: {note}."

@@ -5,10 +5,14 @@ from __future__ import annotations
 import pickle
 from dataclasses import replace
 from tempfile import TemporaryFile
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from gauge_envs.runs.result import Result
+
+
+SHARED = ("settings", "settings_given", "versions", "dataset")
+"""Fields that most results have in common."""
 
 
 class TrajectorySpool:
@@ -17,10 +21,15 @@ class TrajectorySpool:
     def __init__(self) -> None:
         self._file = TemporaryFile()  # noqa: SIM115  # open as long as the spool
         self._places: dict[int, int] = {}
+        self._known: dict[str, Any] = {}
 
     def put(self, result: Result) -> Result:
         """Write the trajectory of a result, and return the result without it."""
-        kept = replace(result, trajectory=None)
+        shared = {
+            name: self._known.setdefault(repr(value := getattr(result, name)), value)
+            for name in SHARED
+        }
+        kept = replace(result, trajectory=None, **shared)
         self._places[id(kept)] = self._file.tell()
         pickle.dump(result.trajectory, self._file)
         return kept

@@ -99,8 +99,8 @@ class Deviations:
     def of(
         cls,
         band: Band,
-        deviations: Sequence[FloatArray],
-        seeds: Iterable[int | None],
+        deviations: Iterable[FloatArray],
+        seeds: Sequence[int | None],
         *,
         scale: float,
         is_aligned: bool,
@@ -109,7 +109,7 @@ class Deviations:
 
         Args:
             band: Reference of the score.
-            deviations: Deviation of each repeat in the compared coordinates, shape [frame_count, C].
+            deviations: Deviation of each repeat in the compared coordinates, shape [frame_count, C]; used one by one.
             seeds: Seed of each repeat.
             scale: Distance with a score of 1, in the unit of the band.
             is_aligned: Whether the score ignores a time shift.
@@ -125,11 +125,12 @@ class Deviations:
             trials = trials[:, known] / size
             if band.uncertainty is not None:
                 shared = shared_errors(band.uncertainty)[:, known] / size
+        vectors = np.empty((len(seeds), int(known.sum())))
+        for vector, deviation in zip(vectors, deviations, strict=True):
+            vector[:] = _scaled(deviation, compared) / scale
         return cls(
             seeds=tuple(seeds),
-            vectors=np.array(
-                [_scaled(deviation, compared) / scale for deviation in deviations]
-            ),
+            vectors=vectors,
             trials=trials,
             shared=shared,
             uncertainty=band.standard_uncertainty / scale,

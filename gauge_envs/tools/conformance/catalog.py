@@ -55,7 +55,7 @@ FIRST = (
 
 
 def checks(only: Sequence[str] = ()) -> tuple[Check, ...]:
-    """Return all checks from simple to compound, or those whose id matches one of the patterns.
+    """Return all checks from simple to compound, or those whose id or level matches one of the patterns.
 
     Raises:
         UnknownNameError: A pattern matches no check.
@@ -73,8 +73,12 @@ def checks(only: Sequence[str] = ()) -> tuple[Check, ...]:
     ids = [check.id for check in known]
     chosen: set[str] = set()
     for pattern in only or ["*"]:
-        matches = [name for name in ids if fnmatchcase(name, pattern)]
+        matches = [
+            check.id
+            for check in known
+            if check.level == pattern or fnmatchcase(check.id, pattern)
+        ]
         if not matches:
-            raise UnknownNameError("check", pattern, ids)
+            raise UnknownNameError("check", pattern, [*Level, *ids])
         chosen.update(matches)
     return tuple(check for check in known if check.id in chosen)

@@ -1,15 +1,16 @@
 """The cause that the results of all checks together suggest.
 
-`causes.json` has rules in the order of mechanics: the calls of the contract, gravity, contacts that are missing, free
+`causes.json` has rules in the order of mechanics: gravity, the calls of the contract, contacts that are missing, free
 motion, wrenches, hinges, restart, worlds, driven bodies, heights, friction, impacts. What fails first explains what
-depends on it. A rule has
+depends on it. A check that the time limit ended shows nothing. A rule has
 
 - `fails`: checks that fail, with `<` or `>` where they must measure too little or too much, or less or more than a
-  number;
-- `passes`: checks that do not fail;
-- `equal`: checks whose errors are one factor;
+  number; `?` where this counts only if the check measured something;
+- `passes`: checks that do not fail, or not in that way;
+- `lacks`: checks that measured nothing;
+- `equal`: checks whose errors have one size, or at least two of them;
 - `cause`: the cause; without it, the diagnosis of its check is the cause;
-- `explains`: patterns of checks that also fail by this cause; all checks if there are none.
+- `explains`: patterns of checks that also fail by this cause, or the name of a group of them; by default all checks.
 """
 
 from __future__ import annotations
@@ -26,10 +27,10 @@ import numpy as np
 from gauge_envs.tools.conformance.model import CheckResult, Status
 
 ONE_FACTOR = 0.03
-"""Largest difference of errors that are one factor, over the largest of them."""
+"""Largest difference of errors that have one size, over the largest ratio to what is expected."""
 
-FAILURE = re.compile(r"([\w.-]+?)(?:([<>])([\d.]*))?")
-"""Check, sign of its error, and a bound of its value."""
+FAILURE = re.compile(r"([\w.-]+?)(?:([<>])([\d.]*))?(\??)")
+"""Check, sign of its error, a bound of its value, and whether it may have measured nothing."""
 
 Rule = Mapping[str, str]
 Results = Mapping[str, CheckResult]
@@ -37,9 +38,14 @@ Results = Mapping[str, CheckResult]
 
 @cache
 def rules() -> list[Rule]:
-    """Return the rules, from the contract to impacts."""
-    rows: list[Rule] = json.loads(Path(__file__).with_suffix(".json").read_text())
-    return rows
+    """Return the rules, from gravity to impacts."""
+    document = json.loads(Path(__file__).with_suffix(".json").read_text())
+    groups = document["groups"]
+    return [
+        {**rule, "explains": groups.get(globs, globs)}
+        for rule in document["rules"]
+        for globs in [rule.get("explains", "*")]
+    ]
 
 
 def likely_causes(results: Sequence[CheckResult]) -> list[str]:
@@ -47,7 +53,7 @@ def likely_causes(results: Sequence[CheckResult]) -> list[str]:
 
     A failure that an earlier rule explains has no other cause. A rule without a cause counts only as the first.
     """
-    ran = {result.check: result for result in results}
+    ran = {each.check: each for each in results if not each.is_unfinished}
     left = {name for name, result in ran.items() if result.is_bad}
     texts: list[str] = []
     for rule in rules():
@@ -56,7 +62,7 @@ def likely_causes(results: Sequence[CheckResult]) -> list[str]:
             continue
         if "cause" in rule or not texts:
             texts.append(_text(rule, ran))
-        globs = rule.get("explains", "*").split()
+        globs = rule["explains"].split()
         left -= {name for name in left for glob in globs if fnmatchcase(name, glob)}
     return texts
 
@@ -67,17 +73,28 @@ def _names(checks: str) -> list[str]:
 
 
 def _matches(rule: Rule, ran: Results) -> bool:
-    passes = _names(rule.get("passes", ""))
+    passes = rule.get("passes", "")
+    equal = _names(rule.get("equal", ""))
     return (
         all(_fails(ran, check) for check in rule["fails"].split())
-        and all(name in ran and not ran[name].is_bad for name in passes)
-        and _has_one_factor([ran[name] for name in _names(rule.get("equal", ""))])
+        and all(name in ran for name in _names(passes))
+        and not any(_fails(ran, check) for check in passes.split())
+        and not any(_is_measured(ran, check) for check in rule.get("lacks", "").split())
+        and (
+            not equal or _has_one_size([ran[n] for n in equal if _is_measured(ran, n)])
+        )
     )
+
+
+def _is_measured(ran: Results, name: str) -> bool:
+    return name in ran and ran[name].measured is not None
 
 
 def _fails(ran: Results, check: str) -> bool:
     """Return whether a check fails, with a sign of its error or beyond a bound."""
-    name, sign, bound = FAILURE.fullmatch(check).groups()  # type: ignore[union-attr]
+    name, sign, bound, optional = FAILURE.fullmatch(check).groups()  # type: ignore[union-attr]
+    if optional and not _is_measured(ran, name):
+        return True
     result = ran.get(name)
     if result is None or not result.is_bad or not sign:
         return result is not None and result.is_bad
@@ -87,10 +104,15 @@ def _fails(ran: Results, check: str) -> bool:
     return result.measured < limit if sign == "<" else result.measured > limit
 
 
-def _has_one_factor(results: Sequence[CheckResult]) -> bool:
-    """Return whether the errors of failed checks are one factor."""
+def _has_one_size(results: Sequence[CheckResult]) -> bool:
+    """Return whether the relative errors of two or more checks have one size."""
+    errors = [
+        abs((each.measured or 0.0) - (each.expected or 0.0)) / (each.expected or 1.0)
+        for each in results
+    ]
     shares = [(each.measured or 0.0) / (each.expected or 1.0) for each in results]
-    return not shares or bool(np.ptp(shares) < ONE_FACTOR * np.abs(shares).max())
+    is_one = np.ptp(errors) < ONE_FACTOR * np.abs(shares).max() if errors else False
+    return len(errors) > 1 and bool(is_one)
 
 
 def _text(rule: Rule, ran: Results) -> str:
@@ -99,7 +121,7 @@ def _text(rule: Rule, ran: Results) -> str:
     if "cause" not in rule:
         result = ran[failed[0]]
         return f"{result.of.title}: {result.diagnosis} ({result.check} fails)"
-    proof = f"fails: {', '.join(failed)}"
+    proof = f"fails: {', '.join(name for name in failed if name in ran)}"
     right = [n for n in _names(rule.get("passes", "")) if ran[n].status is Status.PASS]
     proof += f"; passes: {', '.join(right)}" if right else ""
     return f"{rule['cause']} ({proof})"

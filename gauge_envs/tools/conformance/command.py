@@ -272,7 +272,10 @@ def _is_unexpected(
 
     results = [result for column in columns for result in column.results.values()]
     is_measured = any(not result.missing for result in results)
-    message(f"{counts_text(results)}{'' if is_measured else '; nothing was measured'}")
+    if not is_measured:
+        message("nothing was measured")
+    elif len(columns) > 1:
+        message(counts_text(results))
     is_bad = not is_measured or any(column.reason for column in columns)
     if expectation is None:
         return is_bad or any(result.is_bad for result in results)

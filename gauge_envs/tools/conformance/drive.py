@@ -243,6 +243,10 @@ def unless_off(
     return measurement
 
 
+ONE_FACTOR = 0.03
+"""Largest difference of ratios that are one factor, over the factor."""
+
+
 def worst_friction(
     rollout: Recording, slides: Mapping[str, tuple[float, float, str]]
 ) -> Measurement:
@@ -259,6 +263,10 @@ def worst_friction(
         worst = replace(worst, hint="the friction is squared", cause=cause)
     elif np.abs(worst.measured - np.sqrt([0.5, 2.0])).min() < 0.01:
         worst = replace(worst, cause="friction is a pyramid in place of a cone")
+    elif len(shares) > 2 and np.ptp([*shares.values()]) < ONE_FACTOR * worst.measured:
+        what = "smaller" if worst.measured < 1.0 else "larger"
+        cause = f"friction is {what} than Contact.friction, by one factor in all slides"
+        worst = replace(worst, cause=cause)
     supports = {name: support for name, (*_, support) in slides.items()}
     return unless_off(worst, rollout, supports)
 

@@ -104,11 +104,13 @@ def read_known_failures(file: Path) -> KnownFailures:
         ids = [check.id for check in checks()]
         for name in document:
             if name not in ids:
-                raise UnknownNameError("check", name, ids)
+                raise UnknownNameError("check", name, [*ids, "unsupported"])
+        if not isinstance(unsupported, dict):
+            raise ValueError('unsupported is a table, as "cloth-*" = "rigid bodies"')
         for pattern, reason in unsupported.items():
             if not any(fnmatchcase(name, pattern) for name in ids):
                 raise UnknownNameError("check", pattern, ids)
-            if not str(reason).strip():
+            if not isinstance(reason, str) or not reason.strip():
                 raise ValueError(f"unsupported {pattern!r} needs a reason in words")
         failures = {name: _known(file, name, entry) for name, entry in document.items()}
         return KnownFailures(failures=failures, unsupported=unsupported)

@@ -275,6 +275,10 @@ def push(simulation: Simulation, body: str, wrench: ArrayLike) -> None:
         raise UnsupportedError((str(error),)) from error
 
 
+RIGHT = 0.01
+"""Largest error of a ratio that a hint calls right."""
+
+
 def ratio(ratios: Mapping[str, float], what: str) -> Measurement:
     """Measure the ratio that is furthest from 1; a hint names its case and the correct cases."""
     errors = {
@@ -282,7 +286,8 @@ def ratio(ratios: Mapping[str, float], what: str) -> Measurement:
         for name, value in ratios.items()
     }
     worst = max(errors, key=errors.__getitem__)
-    right = [name for name, error in errors.items() if error < 0.1 * errors[worst]]
+    small = min(0.1 * errors[worst], RIGHT)
+    right = [name for name, error in errors.items() if error < small]
     hint = f"{what} is {ratios[worst]:.4g} times what it should be for {worst}"
     if len(right) > 3:
         right = [*right[:2], f"{len(right) - 2} others"]

@@ -169,6 +169,7 @@ class CheckResult:
         diagnosis: Meaning of a failure and its most likely cause, the text of the exception, or the hint of a narrow
             pass; empty otherwise.
         missing: Features that the engine lacks, if the check is unsupported.
+        is_unfinished: Whether the time limit ended the check, so that it shows nothing of the physics.
         rejects_settings: Whether the check is unsupported since the engine rejects the settings.
         settings: Effective numerical settings in the last scene of the check.
         versions: Versions of the engine's packages.
@@ -183,6 +184,7 @@ class CheckResult:
     width: float | None = None
     diagnosis: str = ""
     missing: tuple[str, ...] = ()
+    is_unfinished: bool = False
     rejects_settings: bool = False
     settings: Mapping[str, Any] = field(default_factory=dict)
     versions: Mapping[str, str] = field(default_factory=dict)

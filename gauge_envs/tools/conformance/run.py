@@ -10,7 +10,7 @@ from gauge_envs.backends import Backend, backend as find_backend
 from gauge_envs.backends.registry import checked_versions, versions_of
 from gauge_envs.errors import GaugeError
 from gauge_envs.fixtures.recording import NotFiniteError, UnsupportedError, raised_at
-from gauge_envs.runs.workers import CrashError, Worker
+from gauge_envs.runs.workers import CrashError, TimeLimitError, Worker
 from gauge_envs.tools.conformance.catalog import checks
 from gauge_envs.tools.conformance.lab import (
     ContractError,
@@ -75,7 +75,11 @@ def _run_there(
         return worker.call(_run_here, backend, settings, check)
     except GaugeError as error:  # The process died, or the engine raised an error.
         return CheckResult(
-            of=check, backend=backend, status=Status.ERROR, diagnosis=str(error)
+            of=check,
+            backend=backend,
+            status=Status.ERROR,
+            diagnosis=str(error),
+            is_unfinished=isinstance(error, TimeLimitError),
         )
 
 

@@ -241,7 +241,8 @@ def _frictions(rollout: Recording, names: Iterable[str]) -> Measurement:
 def slide(lab: Lab) -> Measurement:
     """Cubes with frictions of 0.1 to 0.3 on two fixed boards of 30 degrees; four have their rear face at a board's end.
 
-    Friction from the acceleration downhill over that of the pair, quadratic fit over 0.5 s; the worst of the cubes.
+    Friction from the acceleration downhill over that of the pair, quadratic fit over 0.5 s; the worst of the cubes. The
+    scene also has the moving slab of `slide-between`.
 
     Source: Coulomb; contract (Contact.friction is the pair's).
     """

@@ -71,9 +71,9 @@ class FrictionLimit(CubeLimit):
     the cube. Normal and tangential to the face under the cube, f has the parts f_n and f_t. Friction holds while the
     *friction used*, f_t / f_n, is at most mu.
 
-    **Reward.** The friction used, mean over the frame. A slip ends the episode and takes back the rewards of the last
-    `HOLD_S`. While the cube slips, it accelerates on its carrier along f_t by at least (used - mu) f_n. With v_s the
-    speed from which a slip counts, the impulse over any time T without a slip gives
+    **Reward.** The friction used, mean over the frame. A slip ends the episode, and the rewards of the last
+    `HOLD_S` are subtracted. While the cube slips, it accelerates on its carrier along f_t by at least (used - mu)
+    f_n. With v_s the speed from which a slip counts, the impulse over any time T without a slip gives
 
         integral of used dt <= mu T + v_s / f_n,
 

@@ -157,7 +157,8 @@ class Stage:
             gains = np.clip(gains, -left, left)
         rates = before + gains
         if self._max_rate < math.inf:
-            rates = np.clip(rates, -self._max_rate, self._max_rate)
+            # `np.clip` takes three times as long.
+            rates = np.minimum(np.maximum(rates, -self._max_rate), self._max_rate)
         offsets = np.empty_like(rates)
         offsets[0] = self.offsets[-1]
         offsets[1:] = (0.5 * SAMPLE_INTERVAL_S) * (rates[1:] + rates[:-1])

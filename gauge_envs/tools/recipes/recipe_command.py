@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from gauge_envs.cli import arguments
-from gauge_envs.cli.output import Format, Progress, echo, print_document
+from gauge_envs.cli.output import Format, Progress, echo, message, print_document
 from gauge_envs.errors import ParameterError
 
 if TYPE_CHECKING:
@@ -228,15 +229,28 @@ def recipe_fabrics(
     thickness_m: Annotated[
         float | None, _tested("--thickness", "m", "Thickness.")
     ] = None,
+    variant: Annotated[
+        str | None,
+        arguments.experiment("Experiment that --out copies with the tested fabric."),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        arguments.target("Task file of the tested fabric (.toml).", show_default=False),
+    ] = None,
     form: arguments.Form = Format.TEXT,
 ) -> None:
     """Show a tested fabric, or the six fabrics, in the constants of every engine.
 
     The tests are a cantilever (ASTM D1388), a stretched and a sheared strip, a balance and a thickness gauge. Peirce's
-    law gives the bending stiffness.
+    law gives the bending stiffness. With --out, also write the task file of an experiment with the tested fabric.
     """
     from gauge_envs.tools.recipes.fabrics import fabric_of_tests
     from gauge_envs.tools.recipes.report import constants_document, tested_document
+
+    if bool(variant) != bool(out):
+        raise ParameterError(
+            "a task file needs both: --id StripBending-satin --out denim.toml"
+        )
 
     tests = {
         "--overhang": overhang_m,
@@ -250,7 +264,7 @@ def recipe_fabrics(
     if bending_length_m:
         tests["--overhang"] = 2.0 * bending_length_m
     given = {name: value for name, value in tests.items() if value is not None}
-    if not given:
+    if not given and not out:
         print_document(constants_document(known_fabrics()), form)
         return
     missing = [name for name in tests if name not in given]
@@ -264,6 +278,23 @@ def recipe_fabrics(
         thickness_m=given["--thickness"],
     )
     print_document(tested_document(fabric), form)
+    if variant and out:
+        _write_task(variant, fabric, out)
+
+
+def _write_task(name: str, fabric: Fabric, file: Path) -> None:
+    """Write the task file of an experiment with a tested fabric, and say what it has from the published one."""
+    from gauge_envs.experiments.task_reader import load_task
+    from gauge_envs.experiments.variants import find_variant
+    from gauge_envs.pages.document import save_file
+    from gauge_envs.tools.recipes.own_task import task_of_fabric
+
+    if file.suffix != ".toml":
+        raise ParameterError(f"--out {file}: a task file ends in .toml")
+    variant = find_variant(name)
+    save_file(file, task_of_fabric(variant, fabric, file))
+    own = load_task(file).variants()[0]
+    message(f"{file}: {own.name}; its friction is that of {variant.material}")
 
 
 def list_materials(patterns: Sequence[str]) -> list[Table]:

@@ -14,6 +14,7 @@ from gauge_envs.pages.table import Column, Place, Table
 from gauge_envs.scene.fabrics import Fabric
 from gauge_envs.tools.recipes.fabrics import fabric_constants
 from gauge_envs.tools.recipes.materials import MaterialPair
+from gauge_envs.tools.recipes.own_task import TESTED
 from gauge_envs.tools.recipes.search import Recipe
 
 TITLES = {
@@ -135,7 +136,7 @@ def constants_document(fabrics: Mapping[str, Fabric]) -> Document:
 
 def tested_document(fabric: Fabric) -> Document:
     """Return the constants of a tested fabric for a task file and for every engine, and what each mapping loses."""
-    constants = constants_document({"tested": fabric})
+    constants = constants_document({TESTED: fabric})
     values = [f"{name} = {value:.6g}" for name, value in asdict(fabric).items()]
     lost = [
         f"{engine} loses {loss}."
@@ -143,7 +144,7 @@ def tested_document(fabric: Fabric) -> Document:
         for loss in mapped.lost
     ]
     parts = (
-        *map(Paragraph, ["[constants.textile.tested]", *values, ""]),
+        *map(Paragraph, [f"[constants.textile.{TESTED}]", *values, ""]),
         constants.parts[0],
         Bullets(lost),
     )

@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from itertools import compress, product
-from typing import Any
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
-from scipy.integrate import cumulative_simpson, cumulative_trapezoid
-from scipy.ndimage import median_filter, uniform_filter1d
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+from scipy.ndimage import median_filter
 from scipy.signal import savgol_filter
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.errors import FileError
 from gauge_envs.names import first_names
 from gauge_envs.tools.replay.log import (
+    AXES,
     MIN_NOISE,
     MIN_RATE_NOISE,
     NOISE_WINDOW,
@@ -25,6 +27,7 @@ from gauge_envs.tools.replay.log import (
     Log,
     best_columns,
     noise_of,
+    with_joints,
 )
 
 MIN_SAMPLES = 20
@@ -32,28 +35,24 @@ MAX_INTERVAL_S = 1.0
 MIN_JUMP = 0.02
 """Second difference of positions at a lost sample [rad or m]."""
 TURN_S = 0.2
-"""Time over which the motion of the base is compared with its velocities."""
+"""Time over which a motion is compared with its velocities."""
 MAX_MISFIT = 0.3
 """Squared difference of the motion and the integrated velocities, over the squared motion."""
-SURE = 4.0
-"""Relative difference of two mean squared errors that is significant in a log of length TURN_S; it decreases with the
-length."""
+MAX_UNSURE = 0.1
+"""Squared error of the integrated velocities, over this difference, beyond which the log cannot judge them."""
+CLEARER = 3.0
+"""Squared difference of a reading of the base, over that of another one, from which on it is wrong."""
 LOST_STEP = 1.5
 """Step after repeated rows, over an ordinary one, from which on they were lost; an encoder of low resolution has 1."""
 MAX_RATE_RATIO = 1.5
 """Ratio of velocities and slopes from which on the unit or clock is wrong; motion too fast for the log has less."""
-UPRIGHT = {
-    up: Rotation.from_euler(axis, angle, degrees=True)
-    for up, axis, angle in (
-        ("z", "x", 0),
-        ("y", "x", 90),
-        ("-y", "x", -90),
-        ("x", "y", -90),
-        ("-x", "y", 90),
-        ("-z", "x", 180),
-    )
-}
-"""Rotation that turns each axis that may be up to z."""
+ANSWER_S = 0.015
+"""Time within which no joint answers a command."""
+SAME_LAW = 0.3
+MAX_LEFT = 0.2
+"""Relative difference of a ratio and the law of motion, and variance that the law leaves, up to which they agree."""
+SAME_RATIO = 0.1
+"""Relative difference of the ratios of joints, or of a unit, below which they are one."""
 MAX_LATE = 0.4
 """Squared difference of velocities and slopes with velocities of a neighbouring row, over that of their own."""
 RATE_UNITS = {
@@ -63,11 +62,21 @@ RATE_UNITS = {
     "rad/s, and positions in deg": np.deg2rad(1.0),
 }
 """Units of velocities, over that of the slopes of the positions."""
-BASE_MISTAKES = (
-    "base_quat is x y z w: it is turned to w x y z",
-    "base_linvel is in the body frame: it is turned",
-    "base_angvel is in the world frame: it is turned",
-)
+BASE_READINGS = {
+    "quaternion": ("wxyz", "xyzw", "base_quat is x y z w"),
+    "angvel_frame": ("body", "world", "base_angvel is in the world frame"),
+    "linvel_frame": ("world", "body", "base_linvel is in the body frame"),
+}
+"""Field of the map by what it says of the base: the usual value, the other one, and what is wrong then."""
+BEND = 5.0
+"""Second difference of positions at a jump, over the 90th percentile."""
+MAX_REST = 0.3
+"""Difference of the second differences from those of a spike, over its size."""
+FAR_STEP = 2.0
+FAR_SIZE = 25.0
+"""Size of a spike, over the 95th percentile of the steps between samples, and over the 90th of sizes in all rows."""
+SPIKE = np.array([1.0, -2.0, 1.0])
+"""Second differences of a spike."""
 NEIGHBOURS = 9
 """Ordinary steps around a repeated row with which the step after it is compared."""
 MIN_REGULAR = 0.7
@@ -152,10 +161,11 @@ def _check_samples(log: Log) -> Iterator[str]:
             log.keep(~rows)
 
 
-def _largest_bend(log: Log) -> FloatArray:
-    """Return the largest second difference of positions without a jump, shape [J]."""
-    bend = np.abs(np.diff(log.position, n=2, axis=0))
-    return MIN_JUMP + 12.0 * np.median(bend, axis=0)
+def _largest_bend(path: FloatArray) -> FloatArray:
+    """Return the largest second difference of a path without a jump, shape [J]."""
+    bend = np.abs(np.diff(path, n=2, axis=0))
+    largest: FloatArray = MIN_JUMP + BEND * np.percentile(bend, 90.0, axis=0)
+    return largest
 
 
 def _zero_rows(log: Log) -> BoolArray:
@@ -167,23 +177,33 @@ def _zero_rows(log: Log) -> BoolArray:
     after = np.searchsorted(others, np.arange(len(is_zero)))
     ends = [others[(after + k).clip(0, len(others) - 1)] for k in (-1, 0)]
     bend = np.abs(log.position[ends[0]] + log.position[ends[1]])
-    is_lost: BoolArray = (bend > _largest_bend(log)).any(axis=1)
+    is_lost: BoolArray = (bend > _largest_bend(log.position)).any(axis=1)
     return is_zero & is_lost
 
 
 def _spikes(log: Log) -> BoolArray:
-    """Return the rows that leave both neighbours in a direction, and what the velocities say."""
-    path = log.position
+    """Return the rows of a jump that comes back, and is more than a joint moves in an interval.
+
+    It has two opposite steps, and second differences in the ratio 1, -2, 1. An impact has one, a step 1, -1. Two
+    impacts within an interval resemble it, so that the least size is far above the usual one.
+    """
+    path, steps = log.position, np.diff(log.position, axis=0)
+    is_back, step = steps[1:-2] * steps[2:-1] < 0.0, np.abs(steps)
     if log.velocity.shape == path.shape:
-        rest = path - cumulative_trapezoid(
-            log.velocity, log.time_s, axis=0, initial=0.0
-        )
+        rest = path - _integral(log.time_s, log.velocity)(log.time_s)
         # Velocities of another joint or unit tell nothing.
-        steps = [np.median(np.abs(np.diff(x, axis=0)), axis=0) for x in (rest, path)]
-        path = np.where(steps[0] < 0.5 * steps[1], rest, path)
-    bend = 2.0 * np.abs(path - median_filter(path, (3, 1)))
-    rows: BoolArray = (bend > _largest_bend(log)).any(axis=1)
-    return rows
+        left = np.median(np.abs(np.diff(rest, axis=0)), axis=0)
+        path = np.where(left < 0.5 * np.median(step, axis=0), rest, path)
+    bends = sliding_window_view(np.diff(path, n=2, axis=0), 3, axis=0)
+    size = bends @ SPIKE / (SPIKE @ SPIKE)
+    rest = np.abs(bends - size[..., None] * SPIKE).max(axis=-1)
+    size = np.abs(size)
+    limit = np.maximum(
+        FAR_STEP * np.percentile(step, 95.0, axis=0),
+        0.5 * MIN_JUMP + FAR_SIZE * np.percentile(size, 90.0, axis=0),
+    )
+    is_spike = is_back & (size > limit) & (rest < MAX_REST * size)
+    return np.pad(is_spike.any(axis=1), 2)
 
 
 def _held_rows(log: Log, is_fresh: BoolArray) -> BoolArray:
@@ -239,8 +259,11 @@ def _check_velocity(log: Log) -> Iterator[str]:
         )
         return
     yield from _check_rates(log)
-    slope = np.gradient(log.position, log.time_s, axis=0)
-    spread = 1.4826 * np.median(np.abs(log.velocity - slope), axis=0)
+    # A motion that is fast for the log has other central differences than velocities.
+    spline = CubicSpline(log.time_s, log.position)(log.time_s, 1)
+    slopes = np.gradient(log.position, log.time_s, axis=0), spline
+    gaps = [np.median(np.abs(log.velocity - slope), axis=0) for slope in slopes]
+    spread = 1.4826 * np.minimum(*gaps)
     noise = np.hypot(noise_of(log.time_s, log.velocity), 0.2 * spread)
     log.velocity_noise = np.maximum(noise, MIN_RATE_NOISE)
 
@@ -264,44 +287,186 @@ def _is_regular(time_s: FloatArray) -> BoolArray:
     return np.pad(is_even, NOISE_WINDOW // 2)[:, None]
 
 
+def _integral(time_s: FloatArray, rates: FloatArray) -> CubicSpline:
+    """Return the integral of rates as a function of time."""
+    return CubicSpline(time_s, rates).antiderivative()
+
+
+@dataclass(frozen=True)
+class Increments:
+    """Changes of positions over TURN_S, and the same of integrated velocities.
+
+    Attributes:
+        moved, turned: Changes of the positions, and integrals of the velocities, shape [W, K].
+        unsure: Mean squared error of the integrals: their difference to those of every second sample, shape [K]. It is
+            large where the motion is too fast for the log.
+    """
+
+    moved: FloatArray
+    turned: FloatArray
+    unsure: FloatArray
+
+    @property
+    def misfit(self) -> FloatArray:
+        """Mean squared difference of positions and integrals, shape [K]."""
+        return np.mean((self.moved - self.turned) ** 2, axis=0)
+
+    @property
+    def is_sure(self) -> BoolArray:
+        """Whether the log can judge the velocities, shape [K]."""
+        is_sure: BoolArray = self.unsure < MAX_UNSURE * self.misfit
+        return is_sure
+
+
+def _increments(
+    time_s: FloatArray, position: FloatArray, rates: FloatArray
+) -> Increments:
+    """Return the increments of positions and rates over windows without a gap."""
+    # With an odd number of samples, every second one ends at the same time.
+    time_s = time_s[: len(time_s) - 1 + len(time_s) % 2]
+    interval_s = np.median(np.diff(time_s))
+    length = min(1 + round(TURN_S / interval_s), len(time_s) // 2)
+    is_whole = time_s[length:] - time_s[:-length] < 1.5 * length * interval_s
+    paths = [_integral(time_s[::n], rates[: len(time_s) : n])(time_s) for n in (1, 2)]
+    moved, turned, rough = (
+        (path[length:] - path[:-length])[is_whole]
+        for path in (position[: len(time_s)], *paths)
+    )
+    return Increments(moved, turned, np.mean((turned - rough) ** 2, axis=0))
+
+
 def _check_rates(log: Log) -> Iterator[str]:
-    """Bring velocities to the order, signs and unit of the slopes of the positions, where these are clear."""
-    path = cumulative_simpson(log.velocity, x=log.time_s, axis=0, initial=0.0)
-    length = min(1 + round(TURN_S / log.interval_s), len(path) // 2)
-    moved, turned = (each[length:] - each[:-length] for each in (log.position, path))
+    """Bring velocities to the order, signs, unit and row of the positions, where these are clear."""
+    for check in (_rate_order, _rate_signs, _rate_units, _late_rates):
+        yield from check(log)
+
+
+def _rate_order(log: Log) -> Iterator[str]:
+    """Put exchanged velocities back."""
+    found = _increments(log.time_s, log.position, log.velocity)
+    order, match = best_columns(found.moved, found.turned)
     columns = np.arange(len(log.joints))
-    # Noise moves a joint that rests.
-    moves = np.std(moved, axis=0) > 8.0 * log.position_noise
-    order, match = best_columns(moved, turned)
     best = np.abs(match[columns, order])
-    exchanged = moves & (best > 0.9) & (np.abs(np.diag(match)) < best - 0.2)
+    exchanged = _is_loud(log, found) & found.is_sure & (best > 0.9)
+    exchanged &= np.abs(np.diag(match)) < best - 0.2
+    exchanged &= _obeys(log, order, np.ones(len(order)))
     if exchanged.sum() > 1:
         order = np.where(exchanged, order, columns)
-        pairs = ", ".join(
-            f"{log.joints[k]} has that of {log.joints[order[k]]}"
-            for k in columns[exchanged]
-        )
-        log.velocity, turned, match = (
-            each[:, order] for each in (log.velocity, turned, match)
-        )
+        others = {log.joints[k]: log.joints[order[k]] for k in columns[exchanged]}
+        pairs = ", ".join(f"{name} has that of {others[name]}" for name in others)
+        log.velocity = log.velocity[:, order]
+        titles = {name: log.mapped.title(name, "velocity") for name in others.values()}
+        changes = {name: {"velocity": titles[other]} for name, other in others.items()}
+        log.mapped = with_joints(log.mapped, changes)
         yield f"velocities are exchanged ({pairs}): they are put back"
-    clear = moves & (np.abs(np.diag(match)) > 0.9)
-    ratio = np.sum(moved * turned, axis=0) / np.maximum(np.sum(moved**2, axis=0), 1e-12)
-    flipped = clear & (ratio < 0.0)
-    if flipped.any():
-        log.velocity[:, flipped] *= -1.0
-        names = first_names([log.joints[k] for k in columns[flipped]])
+
+
+def _obeys(log: Log, order: NDArray[np.intp], ratio: FloatArray) -> BoolArray:
+    """Return whether a linear law of motion agrees with the ratio of velocities and slopes of each joint, shape [J].
+
+    If commands change at each sample, velocities may be unlike those between two samples at all of them. The law
+    x' = F x + G u over an interval h is x[k + 1] = exp(F h) x[k] + ..., by least squares. Its rows of the positions
+    give q' = dq, or the ratio of another unit.
+    """
+    count = len(order)
+    answers = log.command_interval_s < 1.5 * log.interval_s > ANSWER_S
+    if not (log.command_kind and answers):
+        return np.ones(count, bool)
+    state = np.hstack([log.position, log.velocity])
+    command = log.held_command()
+    given = np.hstack(
+        [state[1:-1], command[1:-1], command[:-2], np.ones((len(state) - 2, 1))]
+    )
+    if len(given) < 2 * given.shape[1]:
+        return np.zeros(count, bool)
+    law = np.linalg.lstsq(given, state[2:], rcond=None)[0]
+    left = np.var(state[2:] - given @ law, axis=0) / np.maximum(
+        np.var(state, axis=0), 1e-12
+    )
+    values, vectors = np.linalg.eig(law[: 2 * count].T)
+    slopes = (
+        (vectors * np.log(values + 1e-12j)) @ np.linalg.pinv(vectors) / log.interval_s
+    )
+    places = count + order
+    agrees = np.abs(slopes.real[range(count), places] * ratio - 1.0) < SAME_LAW
+    return agrees & (left[places] < MAX_LEFT)
+
+
+def _is_loud(log: Log, found: Increments) -> BoolArray:
+    """Return which joints move; noise moves a joint that rests."""
+    return np.std(found.moved, axis=0) > 8.0 * log.position_noise
+
+
+def _ratios(log: Log) -> tuple[FloatArray, BoolArray, BoolArray]:
+    """Return velocities over slopes, which joints show that they are one motion, and which of them judge it."""
+    found = _increments(log.time_s, log.position, log.velocity)
+    moved, turned = np.square([found.moved, found.turned]).sum(axis=1)
+    product = np.sum(found.moved * found.turned, axis=0)
+    ratio = product / np.maximum(moved, 1e-12)
+    is_clear = _is_loud(log, found) & (product**2 > 0.81 * moved * turned)
+    is_judged = is_clear & found.is_sure & _obeys(log, np.arange(len(ratio)), ratio)
+    return ratio, is_clear, is_judged
+
+
+def _divide_rates(log: Log, factor: FloatArray) -> None:
+    """Divide the velocity of each joint, in the map too."""
+    log.velocity = log.velocity / factor
+    changes = {
+        name: {
+            "velocity_scale": float(
+                f"{log.mapped.joint(name).velocity_scale / number:.4g}"
+            )
+        }
+        for name, number in zip(log.joints, factor.tolist(), strict=True)
+        if number != 1.0
+    }
+    log.mapped = with_joints(log.mapped, changes)
+
+
+def _rate_signs(log: Log) -> Iterator[str]:
+    """Turn velocities that have the opposite sign of the slopes of the positions."""
+    ratio, _, is_judged = _ratios(log)
+    is_turned = is_judged & (ratio < 0.0)
+    if is_turned.any():
+        _divide_rates(log, np.where(is_turned, -1.0, 1.0))
+        names = first_names([*compress(log.joints, is_turned)])
         yield f"velocities of {names} have the opposite sign of the slope of the positions: it is turned"
-    yield from _rate_unit(log, np.abs(ratio[clear]))
-    yield from _late_rates(log)
+
+
+def _rate_units(log: Log) -> Iterator[str]:
+    """Bring velocities to the unit of the slopes of the positions, for all joints or for single ones."""
+    ratio, is_clear, is_judged = _ratios(log)
+    ratio = np.maximum(ratio, 1e-12)
+    is_far = is_judged & (np.abs(np.log(ratio)) > np.log(MAX_RATE_RATIO))
+    if not is_far.any():
+        return
+    common = np.median(ratio[is_clear])
+    if not np.allclose(ratio[is_clear], common, rtol=SAME_RATIO):
+        _divide_rates(log, np.where(is_far, ratio, 1.0))
+        for joint, number in compress(zip(log.joints, ratio, strict=True), is_far):
+            yield f"velocity of {joint} is {number:.3g} times the slope of its position: it is divided by that"
+        return
+    for unit, factor in RATE_UNITS.items():
+        if np.isclose(common, factor, rtol=SAME_RATIO):
+            _divide_rates(log, np.full(len(ratio), factor))
+            yield f"velocities are in {unit}, by the slope of the positions: they are converted"
+            return
+    log.is_usable = False
+    yield (
+        f"velocities are {common:.3g} times the slope of the positions: another unit, or the clock runs at another rate"
+    )
 
 
 def _late_rates(log: Log) -> Iterator[str]:
     """Bring velocities that are a row late or early to the slopes of the positions."""
-    slope = np.gradient(log.position, log.time_s, axis=0)[2:-2]
+    inner = slice(1, -1)
     errors = {
-        shift: np.mean((np.roll(log.velocity, -shift, axis=0)[2:-2] - slope) ** 2)
-        for shift in (-1, 0, 1)
+        shift: _increments(
+            log.time_s[inner],
+            log.position[inner],
+            np.roll(log.velocity, -shift, axis=0)[inner],
+        ).misfit.mean()
+        for shift in (0, -1, 1)
     }
     shift = min(errors, key=lambda row: errors[row])
     if errors[shift] < MAX_LATE * errors[0]:
@@ -310,97 +475,115 @@ def _late_rates(log: Log) -> Iterator[str]:
         yield f"velocities are a row {'late' if shift > 0 else 'early'}: they are put back"
 
 
-def _rate_unit(log: Log, ratio: FloatArray) -> Iterator[str]:
-    """Bring velocities to the unit of the slopes, given their ratio."""
-    if not len(ratio) or abs(np.log(np.median(ratio))) < np.log(MAX_RATE_RATIO):
-        return
-    for unit, factor in RATE_UNITS.items():
-        if np.allclose(ratio, factor, rtol=0.15):
-            log.velocity /= factor
-            yield f"velocities are in {unit}, by the slope of the positions: they are converted"
-            return
-    log.is_usable = False
-    yield (
-        f"velocities are {np.median(ratio):.3g} times the slope of the positions: another unit, or the clock runs at "
-        "another rate"
-    )
+@dataclass(frozen=True)
+class BaseReading:
+    """A base by another order of quaternions, or other frames of its velocities.
 
-
-def _base_readings(log: Log) -> Iterator[tuple[Any, ...]]:
-    """Yield each order of quaternions, frame of angular and of linear velocities with its base.
-
-    Yields:
-        Misfit of the linear and the angular velocities to the pose, over the limit; order; what is wrong; pose and
-        twist in the terms of a log; velocities that the pose shows.
+    Attributes:
+        fields: Values of the map.
+        misfit: Squared difference of linear and of angular velocities to the pose, over its limit.
+        pose, twist: In the terms of a log.
+        slope: Velocities that the pose shows.
     """
+
+    fields: dict[str, str]
+    misfit: FloatArray
+    pose: FloatArray
+    twist: FloatArray
+    slope: FloatArray
+
+    @property
+    def turn(self) -> tuple[str, str]:
+        """Order of quaternions, and frame of angular velocities."""
+        return self.fields["quaternion"], self.fields["angvel_frame"]
+
+
+def _base_readings(log: Log) -> Iterator[BaseReading]:
+    """Yield the readings of the base that the map allows, the usual one first."""
     position, quaternion = np.split(log.base_pose, [3], axis=1)
     # Without velocities, zeros are compared with the pose.
     linear, angular = np.hsplit(np.resize(log.base_twist, (len(position), 6)), 2)
-    window = 1 + round(TURN_S / log.interval_s)
-
-    def power(rates: FloatArray) -> FloatArray:
-        # Mean squares of linear and angular rates without their noise.
-        smooth = uniform_filter1d(rates, window, axis=0).reshape(-1, 2, 3)
-        return np.mean(smooth**2, axis=(0, 2))
-
     # A turn has the noise of two quaternions, whose change is half of the angle.
-    noise = (noise_of(log.time_s, log.base_pose).max() + MIN_NOISE) / TURN_S
-    for order, shift in (("wxyz", 0), ("xyzw", 1)):
-        if log.mapped.quaternion not in (None, order):
-            continue
+    noise = noise_of(log.time_s, log.base_pose).max() + MIN_NOISE
+    choices = [
+        (getattr(log.mapped, name),) if getattr(log.mapped, name) else row[:2]
+        for name, row in BASE_READINGS.items()
+    ]
+    for fields in product(*choices):
+        order, angular_frame, linear_frame = fields
+        shift = int(order == "xyzw")
         pose = np.hstack([position, np.roll(quaternion, shift, axis=1)])
         turn = Rotation.from_quat(pose[:, 3:], scalar_first=True)
         steps = (turn[:-1].inv() * turn[1:]).as_rotvec()
+        turned = np.vstack([np.zeros(3), np.cumsum(steps, axis=0)])
         rate = np.vstack([steps, steps[-1:]]) / np.gradient(log.time_s)[:, None]
+        in_body = turn.inv().apply(angular) if angular_frame == "world" else angular
+        in_world = turn.apply(linear) if linear_frame == "body" else linear
+        twist = np.hstack([in_world, in_body])
+        found = _increments(log.time_s, np.hstack([position, turned]), twist)
+        misfit, unsure, motion = (
+            np.mean(np.reshape(each, (2, 3)), axis=1)
+            for each in (found.misfit, found.unsure, np.mean(found.moved**2, axis=0))
+        )
+        limit = MAX_MISFIT * motion + 8.0 * noise**2 + unsure / MAX_UNSURE
         slope = np.hstack([np.gradient(position, log.time_s, axis=0), rate])
-        limit = MAX_MISFIT * power(slope) + 8.0 * noise**2
-        for in_world, in_body in product((False, True), repeat=2):
-            found = compress(BASE_MISTAKES, (shift, in_body, in_world))
-            turned = turn.inv().apply(angular) if in_world else angular
-            moved = turn.apply(linear) if in_body else linear
-            twist = np.hstack([moved, turned])
-            yield power(twist - slope) / limit, order, found, pose, twist, slope
+        names = dict(zip(BASE_READINGS, fields, strict=True))
+        yield BaseReading(names, misfit / limit, pose, twist, slope)
+
+
+def _clearest(readings: Sequence[BaseReading], kind: int) -> BaseReading:
+    """Return the usual reading, or the best one by linear (0) or angular (1) velocities if it is clearly better."""
+    usual, best = readings[0], min(readings, key=lambda each: each.misfit[kind])
+    is_wrong = usual.misfit[kind] > max(1.0, CLEARER * best.misfit[kind])
+    return best if is_wrong else usual
 
 
 def _check_base(log: Log) -> Iterator[str]:
-    """Bring the base to quaternions w x y z and angular velocities in its own frame.
+    """Bring the base to quaternions w x y z, angular velocities in its own frame and linear ones in that of the world.
 
-    Each order of quaternions is tried with each frame of velocities. Velocities that the pose contradicts are
-    replaced by its differences.
+    Velocities that the pose contradicts are replaced by its differences.
     """
     if log.base_pose.shape[1] != 7:
         return
     is_given = log.base_twist.shape[1] == 6
     readings = [*_base_readings(log)]
-    best = min(misfit[1] for misfit, *_ in readings)
-    limit = min(1.0, (1.0 + SURE * TURN_S / np.ptp(log.time_s)) * best)
-    near = [each for each in readings if each[0][1] <= limit] or readings
-    reading = min(near, key=lambda each: bool(each[0][0] > 1.0))
-    misfit, _, found, log.base_pose, log.base_twist, slope = reading
-    yield from found
-    if len({order for _, order, *_ in near}) > 1:
+    angular = _clearest(readings, 1)
+    reading = _clearest([each for each in readings if each.turn == angular.turn], 0)
+    changes = {
+        name: value
+        for name, value in reading.fields.items()
+        if value == BASE_READINGS[name][1] and not getattr(log.mapped, name)
+    }
+    log.mapped = log.mapped.model_copy(update=changes)
+    log.base_pose, log.base_twist = reading.pose, reading.twist
+    for name in changes:
+        yield f"{BASE_READINGS[name][2]}: it is turned"
+    limit = CLEARER * angular.misfit[1]
+    orders = {each.turn[0] for each in readings if each.misfit[1] <= limit}
+    if len(orders) > 1:
         log.findings.append(
             "base_angvel does not show the order of base_quat: it is taken as w x y z; "
             'if it is x y z w, add quaternion = "xyzw" to --map'
         )
-    if (misfit > 1.0).any():
-        log.base_twist = slope
+    if (reading.misfit > 1.0).any():
+        log.base_twist = reading.slope
         if is_given:
             yield "base velocities do not fit the pose: its differences are used"
         else:
             log.findings.append("no base velocities: differences of the pose are used")
-    _turn_upright(log)
+    _turn_axes(log)
 
 
-def _turn_upright(log: Log) -> None:
-    """Turn the base, or its position alone, so that z is up."""
-    turn = UPRIGHT[log.mapped.up]
+def _turn_axes(log: Log) -> None:
+    """Turn the base, or its position alone, to the axes of the model."""
+    mapped = log.mapped
+    turn = AXES[mapped.axes]
+    place = AXES[mapped.position_axes] * turn
     for columns in (log.base_pose[:, :3], log.base_twist[:, :3]):
-        columns[:] = turn.apply(columns)
-    if log.mapped.up_of == "pose":
-        pose = Rotation.from_quat(log.base_pose[:, 3:], scalar_first=True)
-        log.base_pose[:, 3:] = (turn * pose * turn.inv()).as_quat(scalar_first=True)
-        log.base_twist[:, 3:] = turn.apply(log.base_twist[:, 3:])
+        columns[:] = place.apply(columns)
+    pose = Rotation.from_quat(log.base_pose[:, 3:], scalar_first=True)
+    log.base_pose[:, 3:] = (turn * pose * turn.inv()).as_quat(scalar_first=True)
+    log.base_twist[:, 3:] = turn.apply(log.base_twist[:, 3:])
 
 
 def _check_clocks(log: Log) -> Iterator[str]:
@@ -424,7 +607,7 @@ def _unknown(log: Log) -> Iterator[str]:
     if not log.command_kind:
         yield "no commands: the mechanism is taken as passive"
     elif is_fast and log.command_kind in ("target", "tau"):
-        yield f"commands change at every sample: a delay below {1e3 * log.interval_s:.3g} ms may be how they are held"
+        yield f"commands change at every sample: they cannot show a delay below {1e3 * log.interval_s:.3g} ms"
 
 
 CHECKS = (

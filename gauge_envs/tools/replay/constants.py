@@ -89,7 +89,6 @@ def fit_logs(
             replayer=pairs[0][0],
             in_degrees=uses_degrees(model),
             given=mapped,
-            mapped=mapped,
         )
         if write is not None and write.suffix in YAML:
             write_whole(write, parameter_dict(found.values))

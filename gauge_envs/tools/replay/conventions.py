@@ -1,15 +1,22 @@
-"""Conventions of a log that the model contradicts: units, signs, order of joints, the axis that is up."""
+"""Conventions of a log that the model contradicts: units, signs, order of joints, axes of the base."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from itertools import combinations, product
+from itertools import combinations
 
 import mujoco
 import numpy as np
 
 from gauge_envs.errors import GaugeError
-from gauge_envs.tools.replay.log import FloatArray, Log, LogMap, with_joints
+from gauge_envs.tools.replay.log import (
+    AXES,
+    OWN_AXES,
+    FloatArray,
+    Log,
+    LogMap,
+    with_joints,
+)
 from gauge_envs.tools.replay.model import Replayer, build_setup
 
 HORIZON_S = 0.1
@@ -21,6 +28,8 @@ MIN_GAIN = 1.0
 changes one term, and a physical cause is not a convention."""
 MAX_MISFIT = -0.5
 """Largest misfit [nat], after the change, of a degree of freedom that gains: the model then predicts it."""
+EQUAL = 0.3
+"""Difference of these sums below which two conventions predict a log as well."""
 MAX_ANGLE = np.pi
 """Angle [rad] beyond which angles may have another unit."""
 MOVES = 0.05
@@ -45,40 +54,46 @@ def find_conventions(
     log = read(mapped)
     if not log.is_usable:
         return mapped, texts
-    best = misfits(log, model, mapped)
+    best, gain = misfits(log, model, mapped)
     for _ in range(1 + len(log.joints)):
         found = []
-        for text, changed in _conventions(log, model, mapped):
+        for text, changed in _conventions(log, model, mapped, gain):
             try:
-                trial = misfits(read(changed), model, changed)
+                trial, _ = misfits(read(changed), model, changed)
             except GaugeError:
                 continue
-            gain = best - trial
-            if trial[gain >= min(MIN_GAIN, gain.max())].min() < MAX_MISFIT:
-                found.append((trial.sum(), text, changed, trial))
-        if not found:
+            less = best - trial
+            if trial[less >= min(MIN_GAIN, less.max())].min() < MAX_MISFIT:
+                found.append((trial.sum(), text, changed))
+        least = min((total for total, *_ in found), default=np.inf)
+        if best.sum() - least < MIN_GAIN:
             break
-        _, text, changed, trial = min(found, key=lambda row: row[0])
-        if best.sum() - trial.sum() < MIN_GAIN:
-            break
+        # Of equal ones the first is the usual one.
+        _, text, mapped = next(row for row in found if row[0] < least + EQUAL)
         texts.append(text)
-        mapped, best = changed, trial
+        best, gain = misfits(read(mapped), model, mapped)
     return mapped, texts
 
 
-def misfits(log: Log, model: mujoco.MjModel, mapped: LogMap) -> FloatArray:
-    """Return the misfit of short predictions, shape [D]."""
+def misfits(
+    log: Log, model: mujoco.MjModel, mapped: LogMap
+) -> tuple[FloatArray, FloatArray]:
+    """Return the misfit of short predictions, and how much of it is above twice the noise, shape [D]."""
     replayer = Replayer(log, model)
     setup = build_setup(model, log, mapped.control)
     horizon_s = max(HORIZON_S, MIN_SAMPLES * log.interval_s)
     pieces = replayer.pieces(horizon_s, PIECES, MIN_SAMPLES)
-    return replayer.misfit(setup, pieces)
+    misfit = replayer.misfit(setup, pieces)
+    least = np.log(2.0 * replayer.spread(pieces) / replayer.baseline(pieces))
+    return misfit, np.maximum(misfit - least, 0.0)
 
 
 def _conventions(
-    log: Log, model: mujoco.MjModel, mapped: LogMap
+    log: Log, model: mujoco.MjModel, mapped: LogMap, gain: FloatArray
 ) -> Iterator[tuple[str, LogMap]]:
-    """Yield what each convention corrects, and its map."""
+    """Yield what each convention that may gain enough corrects, and its map."""
+    if gain.sum() < MIN_GAIN:
+        return
     joints = {name: model.joint(name) for name in log.joints}
     is_far = np.abs(log.position).max() > MAX_ANGLE
     slide = mujoco.mjtJoint.mjJNT_SLIDE.value
@@ -105,10 +120,8 @@ def _conventions(
     if slides:
         metres = {name: {"scale": 1e-3} for name in slides}
         yield f"lengths of {', '.join(slides)} are in mm", with_joints(mapped, metres)
-    if log.base_pose.shape[1] == 7:
-        for up, part in product(("y", "-y", "x", "-x", "-z"), ("pose", "position")):
-            text = f"the axis {up} is up in the {part} of the base"
-            yield text, mapped.model_copy(update={"up": up, "up_of": part})
+    if len(gain) > len(joints) and gain[:6].sum() > MIN_GAIN:
+        yield from _base_conventions(mapped)
     for name in joints:
         sign = -mapped.joint(name).sign
         yield (
@@ -119,6 +132,22 @@ def _conventions(
         titles = [mapped.joint(name).log or name for name in (first, second)]
         exchanged = {first: {"log": titles[1]}, second: {"log": titles[0]}}
         yield f"{first} and {second} are exchanged", with_joints(mapped, exchanged)
+
+
+def _base_conventions(mapped: LogMap) -> Iterator[tuple[str, LogMap]]:
+    """Yield another order of quaternions, and other axes of the base or of its position alone."""
+    if not mapped.quaternion:
+        other = mapped.model_copy(update={"quaternion": "xyzw"})
+        yield "base_quat is x y z w", other
+    if (mapped.axes, mapped.position_axes) != (OWN_AXES, OWN_AXES):
+        return
+    for key, part in (("axes", "base"), ("position_axes", "position of the base")):
+        for axes in AXES:
+            text = (
+                f"the {part} has other axes: x y z of the model are {axes} of the log"
+            )
+            if axes != OWN_AXES:
+                yield text, mapped.model_copy(update={key: axes})
 
 
 def check_base(log: Log, model: mujoco.MjModel) -> None:

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from itertools import permutations, product
 from pathlib import Path
-from typing import Any, Literal, TypeAlias
+from typing import Annotated, Any, Literal, TypeAlias
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
-from pydantic import BaseModel
+from pydantic import AfterValidator, BaseModel
 from scipy.optimize import linear_sum_assignment
+from scipy.spatial.transform import Rotation
 
 from gauge_envs.errors import FileError
 from gauge_envs.names import first_names
@@ -32,6 +34,9 @@ SAMPLED = (
 )
 """Attributes of a log with a row a sample."""
 
+COMMANDS = ("action", "ctrl", "target", "tau")
+"""Kinds of command, the one that is used first where a log has several."""
+
 ANGLES = ("position", "target", "ctrl")
 """Quantities that contain the offset of a joint; with the velocities they have the unit of the map."""
 
@@ -41,13 +46,40 @@ MIN_RATE_NOISE = 2e-3
 NOISE_WINDOW = 7
 
 
+def _axes() -> dict[str, Rotation]:
+    turns = {}
+    for order in permutations(range(3)):
+        for signs in product((1, -1), repeat=3):
+            matrix = np.diag(signs) @ np.eye(3)[[*order]]
+            names = (
+                "-" * (s < 0) + "xyz"[k] for s, k in zip(signs, order, strict=True)
+            )
+            if np.linalg.det(matrix) > 0.0:
+                turns[" ".join(names)] = Rotation.from_matrix(matrix)
+    return dict(sorted(turns.items(), key=lambda item: item[1].magnitude()))
+
+
+AXES = _axes()
+"""Rotation to the axes of the model, by the axes of the log that are its x, y and z; the smallest rotation first."""
+OWN_AXES = "x y z"
+
+
 class JointMap(BaseModel, extra="forbid"):
-    """What a joint of the model is called in the log, and how its angle reads there: `sign * scale * log + offset`."""
+    """What a joint of the model is called in the log, and how its angle reads there: `sign * scale * log + offset`.
+
+    Its velocity and command may be those of another one there; velocities have a further scale, and commands a further
+    scale and offset.
+    """
 
     log: str = ""
+    velocity: str = ""
+    command: str = ""
     sign: Literal[1, -1] = 1
     scale: float = 1.0
     offset_rad: float = 0.0
+    velocity_scale: float = 1.0
+    command_scale: float = 1.0
+    command_offset: float = 0.0
 
 
 class ControlMap(BaseModel, extra="forbid"):
@@ -69,14 +101,25 @@ class ControlMap(BaseModel, extra="forbid"):
         return values
 
 
+def _known_axes(text: str) -> str:
+    if text not in AXES:
+        raise ValueError("three axes of a right-handed frame, as x -z y")
+    return text
+
+
+Axes: TypeAlias = Annotated[str, AfterValidator(_known_axes)]
+
+
 class LogMap(BaseModel, extra="forbid"):
     """A map file: names, order, signs and units of a log that differ from the model."""
 
     unit: Literal["rad", "deg"] = "rad"
     command: Literal["action", "ctrl", "target", "tau"] | None = None
     quaternion: Literal["wxyz", "xyzw"] | None = None
-    up: Literal["z", "y", "-y", "x", "-x", "-z"] = "z"
-    up_of: Literal["pose", "position"] = "pose"
+    angvel_frame: Literal["body", "world"] | None = None
+    linvel_frame: Literal["world", "body"] | None = None
+    axes: Axes = OWN_AXES
+    position_axes: Axes = OWN_AXES
     observation: list[str] = []
     observation_scale: dict[str, float] = {}
     order: list[str] = []
@@ -90,14 +133,25 @@ class LogMap(BaseModel, extra="forbid"):
         """Return the entry of a joint; the default without one."""
         return self.joints.get(name, JointMap())
 
+    def title(self, name: str, quantity: str) -> str:
+        """Return what the log calls the joint of a quantity."""
+        entry = self.joint(name)
+        others = {"velocity": entry.velocity} | dict.fromkeys(COMMANDS, entry.command)
+        return others.get(quantity) or entry.log or name
+
     def converted(self, name: str, kind: str, values: FloatArray) -> FloatArray:
         """Return a column of the file in the terms of the model; a force has the sign alone."""
-        entry, is_angle = self.joint(name), kind in ANGLES
-        if not is_angle and kind != "velocity":
-            return entry.sign * values
-        unit = np.deg2rad(1.0) if self.unit == "deg" else 1.0
-        scaled = entry.sign * entry.scale * unit * values
-        return scaled + entry.offset_rad if is_angle else scaled
+        entry, values = self.joint(name), self.joint(name).sign * values
+        if kind in ANGLES or kind == "velocity":
+            unit = np.deg2rad(1.0) if self.unit == "deg" else 1.0
+            values = entry.scale * unit * values
+        if kind in ANGLES:
+            values = values + entry.offset_rad
+        if kind == "velocity":
+            values = entry.velocity_scale * values
+        if kind in COMMANDS:
+            values = entry.command_scale * values + entry.command_offset
+        return values
 
     def check_joints(self, known: Mapping[str, Any]) -> None:
         """Raise an error for a joint of the map that a log lacks."""

@@ -463,22 +463,24 @@ class Replayer:
         elapsed_s = np.ptp(self.log.time_s[pieces[:, [0, -1]]], axis=1)
         return np.hypot(position, rate * elapsed_s.mean())
 
+    def baseline(self, pieces: IntArray) -> FloatArray:
+        """Return the error of constant velocity or of no motion, whichever is less, shape [D]."""
+        start = np.repeat(self.qpos[pieces[:, :1]], pieces.shape[1] - 1, axis=1)
+        deviations = self.keep_velocity(pieces), self._deviation(pieces, start)
+        return np.minimum(*(self._error(each, pieces) for each in deviations))
+
     def misfit(self, setup: Setup, pieces: IntArray) -> FloatArray:
         """Return the logarithm of the error over that of constant velocity or no motion, shape [D].
 
-        An error is the median over the pieces, and the noise of the states. Its unit has no part in the result.
+        Its unit has no part in the result.
         """
-        start = np.repeat(self.qpos[pieces[:, :1]], pieces.shape[1] - 1, axis=1)
-        deviations = (
-            self.predict(setup, pieces),
-            self.keep_velocity(pieces),
-            self._deviation(pieces, start),
-        )
-        error, kept, rest = (
-            np.hypot(np.median(np.abs(each), axis=(0, 1)), self.spread(pieces))
-            for each in deviations
-        )
-        return np.log(error / np.minimum(kept, rest))
+        error = self._error(self.predict(setup, pieces), pieces)
+        return np.log(error / self.baseline(pieces))
+
+    def _error(self, deviation: FloatArray, pieces: IntArray) -> FloatArray:
+        """Return the median error over the pieces, and the noise of the states, shape [D]."""
+        median = np.median(np.abs(deviation), axis=(0, 1))
+        return np.hypot(median, self.spread(pieces))
 
     def torques(self, setup: Setup, samples: IntArray) -> tuple[FloatArray, bool]:
         """Return the torque of each joint in the model at samples, shape [S, J], and whether anything is in contact.

@@ -41,7 +41,6 @@ class Change:
         replayer: The log.
         in_degrees: Whether the angles of the file of the model are in degrees.
         given: The map that the user gave.
-        mapped: The map by which the log was read.
     """
 
     before: Setup
@@ -49,7 +48,6 @@ class Change:
     replayer: Replayer
     in_degrees: bool
     given: LogMap
-    mapped: LogMap
 
     def lines(self) -> dict[str, str]:
         """Return the lines by place: `map` and `MJCF`.
@@ -137,15 +135,15 @@ class Change:
                 yield index, values
 
     def _map(self) -> Iterator[str]:
-        mapped = self.mapped
+        mapped = self.replayer.log.mapped
         for joint, zero in zip(self.replayer.log.joints, self.after.zero, strict=True):
             if zero:
                 offset = mapped.joint(joint).offset_rad + zero
                 change = {"offset_rad": float(_text(offset))}
                 mapped = with_joints(mapped, {joint: change})
-        for name in ("unit", "up", "up_of"):
-            if getattr(mapped, name) != getattr(self.given, name):
-                yield f'{name} = "{getattr(mapped, name)}"'
+        for name, value in mapped.model_dump(exclude={"joints", "control"}).items():
+            if value != getattr(self.given, name):
+                yield from _items({name: value})
         for joint, entry in mapped.joints.items():
             if entry != self.given.joints.get(joint):
                 yield f'[joints."{joint}"]'

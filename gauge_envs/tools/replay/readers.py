@@ -21,7 +21,7 @@ from gauge_envs.optional import needs_extra
 from gauge_envs.reading import content_of, faults_of, reading
 from gauge_envs.text import csv_text, json_document
 from gauge_envs.tools.replay.checks import check_log
-from gauge_envs.tools.replay.log import FloatArray, Log, LogMap
+from gauge_envs.tools.replay.log import COMMANDS, FloatArray, Log, LogMap
 
 Table: TypeAlias = dict[str, FloatArray]
 """Columns of a quantity by joint."""
@@ -65,9 +65,6 @@ COLUMN = re.compile(
     rf"({'|'.join(map(re.escape, LONGEST_FIRST))})(?:[._/:\[](.*?)\]?)?"
 )
 """Title of a column: `q_des` is a name, and not the joint `des` of `q`."""
-
-COMMANDS = ("action", "ctrl", "target", "tau")
-"""Kinds of command, the one that is used first where a log has several."""
 
 OF_JOINTS = (*COMMANDS, "position", "velocity")
 """Quantities with a column a joint."""
@@ -374,7 +371,6 @@ def _by_joint(
 ) -> dict[str, Table]:
     """Return the columns of each quantity by joint; `names` are the joints of an array that has all of them."""
     found: dict[str, Table] = {quantity: {} for quantity in COLUMN_NAMES}
-    model_names = {entry.log: name for name, entry in mapped.joints.items()}
     for title, cells in columns:
         meaning = _meaning(title, mapped, names)
         if not meaning:
@@ -384,6 +380,7 @@ def _by_joint(
             values = np.atleast_2d(np.array(cells, dtype=float).T)
         is_named = len(names) == len(values) and quantity in OF_JOINTS
         labels = names if is_named else map(str, range(len(values)))
+        model_names = {mapped.title(name, quantity): name for name in mapped.joints}
         # The map says what an action is.
         kind = mapped.command or quantity if quantity == "action" else quantity
         for label, column in zip(labels, values, strict=True):

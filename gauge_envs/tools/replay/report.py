@@ -131,7 +131,6 @@ def replay(
         replayer=problem.replayer,
         in_degrees=uses_degrees(model),
         given=given,
-        mapped=mapped,
     )
     sentence = _sentence(line, explanation)
     line = replace(line, sentence=sentence, paste=change.lines())
@@ -458,12 +457,14 @@ def _interval(values: Sequence[Value]) -> str:
 
 def _cause_table(title: str, causes: Sequence[Explained]) -> Table:
     """Return the table by cause."""
+    columns = [
+        Column("text", "cause"),
+        Column("share", "%", _percent, is_number=True),
+    ]
+    if any(_interval(cause.values) for cause in causes):
+        columns.append(Column("values", "95 %", _interval))
     return Table(
         title=f"{title}: share of the error on pieces that no fit has seen",
-        columns=(
-            Column("text", "cause"),
-            Column("share", "%", _percent, is_number=True),
-            Column("values", "95 %", _interval),
-        ),
+        columns=tuple(columns),
         rows=causes,
     )

@@ -149,6 +149,9 @@ SHOWN = {
 }
 """Title of each value in the table of pairs that touch."""
 
+LAW = "By Coulomb's law: no creep, no hop, and 1 for the diagonal slide and the grazing impact."
+"""Note below that table."""
+
 KILO, LARGER = 1000.0, {"um/s": ("mm/s", "m/s")}
 """Larger units of values, each a thousand times as large."""
 
@@ -230,7 +233,8 @@ def touching_table(configuration: TrainingConfiguration) -> list[Part]:
         groups.setdefault(key, []).append(pair)
     rows = [_touching_row(robot, pairs) for pairs in [*groups.values()][:MAX_PAIRS]]
     titles = "pairs that touch", "friction", *SHOWN.values()
-    return [grid(titles, rows)] if rows else []
+    law = Paragraph(LAW, Tone.NOTE)
+    return [grid(titles, rows), law] if rows else []
 
 
 def _touching_row(robot: Robot, pairs: list[tuple[int, int]]) -> list[str]:

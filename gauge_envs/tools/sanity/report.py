@@ -138,7 +138,7 @@ def checks_table(only: Sequence[str] = ()) -> Table:
             Column("id", "id"),
             Column("title", "title", place=Place.BELOW),
             Column("kind", "kind"),
-            Column("reality", "reality"),
+            Column("reality", "expected"),
             Column("trial_count", "trials", is_number=True, wide_only=True),
             Column("source", "source", place=Place.BELOW, wide_only=True),
             Column("rationale", "interval", place=Place.BELOW, wide_only=True),
@@ -310,6 +310,6 @@ COLUMNS = (
     Column("id", "check"),
     Column("title", "quantity"),
     Column("", "here", measured_text, is_number=True, style=_style),
-    Column("", "real", lambda result: reality_text(result.reality, result.unit)),
+    Column("", "expected", lambda result: reality_text(result.reality, result.unit)),
 )
 """Columns of tables of checks."""

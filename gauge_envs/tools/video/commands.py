@@ -108,6 +108,13 @@ def video_score(
             picture = report.track_picture(result, file)
             message(save_file(out / f"{file.stem}.track.jpg", picture))
         has_failed = has_failed or not result.is_sound
+    if has_failed:
+        known = video_task(task)
+        x_px, y_px = known.centre_px
+        message(
+            f"A clip of {known.id} begins with the picture of gauge video prompts, the object at "
+            f"x {x_px:.0f}, y {y_px:.0f} of 832 x 480 pixels: docs/world_models.md"
+        )
     return has_failed
 
 

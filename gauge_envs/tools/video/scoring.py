@@ -51,13 +51,13 @@ PIVOT_SIGMA_PX = 1.0
 
 @dataclass(frozen=True, kw_only=True)
 class VideoScore:
-    """Result of one video: whether its track is sound, and the physics of the motion.
+    """Result of one video: whether its track is accepted, and the physics of the motion.
 
     Attributes:
         video: Name of the video or track.
         task: Id of the task.
         is_sound: Whether the track always follows the object, independent of the law of the motion.
-        reasons: Why the track is not sound, with frame numbers.
+        reasons: Why the track is rejected, with frame numbers.
         findings: More observations.
         metrics: Values by name; None without motion or if a metric does not apply.
         uncertainty: Interval of each metric that contains 95 % of simulated tracks.

@@ -10,7 +10,7 @@ from gauge_envs.tools.video.tasks import MotionKind, VideoTask
 from gauge_envs.tools.video.track import Track
 
 MAX_ODD_SHARE = 0.15
-"""Largest share of retained frames with a changed object in a sound track."""
+"""Largest share of retained frames with a changed object in an accepted track."""
 
 MAX_MISFIT = 0.25
 """Largest difference from size and shape in the first frame, relative to the area.
@@ -21,7 +21,7 @@ MIN_CONFIDENCE = 0.5
 """Smallest likeness of a frame with the object."""
 
 MIN_TWIN_LIKENESS = 0.7
-"""Smallest likeness of a second object. Other places in sound published clips stay below 0.7."""
+"""Smallest likeness of a second object. Other places in accepted published clips stay below 0.7."""
 
 MIN_TWIN_FRAMES = 3
 """Smallest number of frames with a second object."""
@@ -52,7 +52,7 @@ MIN_SCATTER_PX = 0.2
 
 
 def faults_of(track: Track, task: VideoTask, span: tuple[int, int] | None) -> list[str]:
-    """Return why a track is not sound, independent of the law of the motion.
+    """Return why a track is rejected, independent of the law of the motion.
 
     Args:
         track: The track.

@@ -43,7 +43,7 @@ def test_a_reference_is_described_in_a_line():
     text = (
         "mean and standard deviation of the real trials at each frame; 20 trials; "
         "standard uncertainty u = 5.41 mm; "
-        "a scene without motion is 212 mm away"
+        "if nothing moved, the error would be 212 mm"
     )
     assert reference_text(reference, frames=19) == text
     assert reference_text(reference, frames=20) == f"{text}; known at 19 of 20 frames"

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from faults import FAULTS, Fault, Faulty, Planted
 
-from gauge_envs.backends import Repeatability, Support, backend
+from gauge_envs.backends import LoopedSimulation, Repeatability, Support, backend
 from gauge_envs.errors import BackendError, UnknownNameError
 from gauge_envs.scene import Box, Motion
 from gauge_envs.tools.conformance import (
@@ -17,6 +17,7 @@ from gauge_envs.tools.conformance import (
     run_checks,
 )
 from gauge_envs.tools.conformance.causes import likely_causes, rules
+from gauge_envs.tools.conformance.model import Level
 from gauge_envs.tools.conformance.report import engine_document
 from gauge_envs.tools.conformance.results import levels
 
@@ -87,18 +88,22 @@ def test_no_earlier_check_fails(name):
 
 @pytest.fixture
 def causes():
-    """Return a function: the causes of failures, each with the factor of its value."""
+    """Return a function: the causes of failures, each with its value over what is expected, and of other results."""
     (result,) = run_checks(MUJOCO, only=["time"])
     passed = {entry.id: replace(result, of=entry) for entry in checks()}
 
-    def named(failed):
-        bad = {
-            name: replace(
-                passed[name], status=Status.FAIL, expected=1.0, measured=factor
-            )
+    def named(failed, unfinished=(), unsupported=()):
+        changed = {
+            name: {"status": Status.FAIL, "expected": 1.0, "measured": factor}
             for name, factor in failed.items()
         }
-        return likely_causes([*(passed | bad).values()])
+        for name in (*unfinished, *unsupported):
+            stopped = name in unfinished
+            status = Status.ERROR if stopped else Status.UNSUPPORTED
+            none = {"expected": None, "measured": None, "is_unfinished": stopped}
+            changed[name] = {"status": status, **none}
+        results = {name: replace(passed[name], **row) for name, row in changed.items()}
+        return likely_causes([*(passed | results).values()])
 
     return named
 
@@ -115,7 +120,7 @@ SLIDES = {"pucks-friction": 0.8, "slide": 0.8, "carry-slip": 0.8}
         (dict.fromkeys(SLIDES, 1.3), "friction is larger than Contact.friction"),
         (SLIDES | {"carry-slip": 0.5}, "each pair has another factor of friction"),
         ({"pucks-friction": 0.7, "slide": 0.7}, "friction depends on the direction"),
-        (SLIDES | {"free-fall": 0.9}, "gravity is not that of the scene"),
+        (SLIDES | {"slide-straight": 2.0}, "friction is smaller than Contact.friction"),
         ({"oblique-slip": 3.0}, "friction in impacts has another value"),
         ({"slide-straight": 2.0}, "a cube that slides does not turn"),
     ],
@@ -123,6 +128,50 @@ SLIDES = {"pucks-friction": 0.8, "slide": 0.8, "carry-slip": 0.8}
 def test_the_most_basic_failures_name_the_cause(causes, failed, words):
     (text,) = causes(failed)
     assert text.startswith(words)
+
+
+@pytest.mark.parametrize("factor", [0.92, 1.92])
+def test_another_gravity_is_the_first_cause_whatever_else_fails(causes, factor):
+    """A time or a unit of length that is another makes another fall, so these come first."""
+    others = [entry.id for entry in checks()]
+    failed = dict.fromkeys(others, 1.5) | {"free-fall": factor}
+    del failed["time"], failed["start-position"]
+    assert causes(failed)[0].startswith("free fall of all solids")
+    assert causes({"free-fall": factor, "time": 0.5})[0].startswith("advance simu")
+
+
+def test_resistance_to_the_motion_is_not_another_gravity(causes):
+    assert causes({"free-fall": 0.998, "glide-speed": 0.5})[0].startswith("free bodies")
+
+
+def test_a_slow_engine_is_judged_by_what_it_finishes(causes):
+    slow = ("tower-stands", "wall", "pucks-friction", "contact-listed")
+    assert causes({}, unfinished=slow) == []
+    low = {"slide": 0.8, "carry-slip": 0.8, "hold": 9.0}
+    (text,) = causes(low, unfinished=slow)
+    assert text.startswith("friction is smaller than Contact.friction, by one factor")
+    assert text.endswith("(fails: slide, carry-slip)")
+    (text,) = causes({"rest-heights": 2.0, "rest-small": 2.0}, unfinished=slow)
+    assert text.startswith("bodies hover")
+
+
+FORCES = {"wrench-force": 0.2, "inertia": 1.2, "worlds-wrench": 0.83}
+
+
+@pytest.mark.parametrize(
+    ("failed", "unsupported", "words"),
+    [
+        (FORCES | {"contact-force": 1.2}, (), "free bodies have another mass than"),
+        (FORCES | {"contact-force": 1.7}, (), "apply_wrench applies a multiple"),
+        (FORCES, (), "apply_wrench applies a multiple"),
+        (FORCES, ("contact-force",), "free bodies have another mass, or apply_wrench"),
+    ],
+)
+def test_another_mass_differs_from_a_factor_of_wrenches(
+    causes, failed, unsupported, words
+):
+    """Contact forces have the mass, and not the factor, by the same share."""
+    assert causes(failed, unsupported=unsupported)[0].startswith(words)
 
 
 def test_a_cause_has_its_proof_and_others_follow(causes):
@@ -190,12 +239,35 @@ def test_runs_may_differ_as_an_engine_declares(kind, is_bad):
     assert result.is_bad == is_bad
 
 
+class LastWorldRounds(LoopedSimulation):
+    """Adds to the last of several worlds in another order."""
+
+    def advance(self, seconds):
+        super().advance(seconds)
+        self._simulations[-1].data.qvel[0] += 1e-12 * (self.world_count > 1)
+
+
+@pytest.mark.parametrize(("kind", "is_bad"), [("bits", True), ("statistical", False)])
+def test_worlds_that_start_alike_are_equal_as_an_engine_declares(kind, is_bad):
+    engine = Faulty(MUJOCO, Fault(worlds=LastWorldRounds))
+    declared = Repeatability(kind=kind, start_error=0.0 if kind == "bits" else 1e-6)
+    engine.repeatability = lambda settings=None: declared
+    (result,) = run_checks(engine, only=["worlds-single"])
+    assert result.is_bad == is_bad
+    assert ("world 15, which starts and moves as world 0" in result.diagnosis) == is_bad
+
+
 # --- errors and unsupported scenes of engines ------------------------------------------------------------------------
 
 
 class KnowsNoCloth(Faulty):
     def supports(self, scene):
         return Support(("it knows no cloth",) if scene.deformables else ())
+
+
+class KnowsNoHinges(Faulty):
+    def supports(self, scene):
+        return Support(("it knows no hinges",) if scene.hinges else ())
 
 
 class CannotBuildCloth(Faulty):
@@ -274,6 +346,11 @@ def test_an_unsupported_check_is_not_a_failure_and_has_its_reason():
     assert results["free-fall"].status is Status.PASS
 
 
+def test_an_engine_without_hinges_is_checked_on_all_other_bodies():
+    results = results_of(KnowsNoHinges(MUJOCO, Fault()), "rest-shapes", "rest-small")
+    assert {result.status for result in results.values()} == {Status.PASS}
+
+
 def test_an_exception_costs_its_checks_and_has_its_place():
     results = results_of(
         CannotBuildCloth(MUJOCO, Fault()), "cloth-stretch", "free-fall"
@@ -344,6 +421,16 @@ def test_each_check_has_an_id_of_its_own_and_a_description():
     ids = [check.id for check in checks()]
     assert len(set(ids)) == len(ids)
     assert [check.id for check in checks() if not check.description] == []
+
+
+def test_a_level_selects_its_checks_and_a_wrong_one_names_the_levels():
+    for level in Level:
+        chosen = checks([level.value])
+        assert chosen
+        assert {check.level for check in chosen} == {level}
+    assert len(checks(["rigid", "slide"])) == len(checks(["rigid"])) + 1
+    with pytest.raises(UnknownNameError, match="did you mean rigid"):
+        checks(["rigit"])
 
 
 def test_texts_do_not_change_a_fingerprint_but_numbers_and_revisions_do():

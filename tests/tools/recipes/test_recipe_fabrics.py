@@ -1,16 +1,22 @@
 """Recipes of fabrics: stiffness by the law of an engine, a simulated strip, and a snippet in plain MuJoCo."""
 
+import csv
 import json
+import math
 import re
+import shlex
 import tomllib
-from dataclasses import replace
+from dataclasses import asdict, replace
 
+import gymnasium as gym
 import mujoco
 import numpy as np
 import pytest
 from places import ROOT
 from scipy.integrate import solve_bvp
+from texts import fenced
 
+from gauge_envs import load_experiment
 from gauge_envs.errors import ParameterError
 from gauge_envs.experiments.task_files import fabrics
 from gauge_envs.fixtures.recording import DivergedError
@@ -53,7 +59,7 @@ def test_isaac_has_a_shear_stiffness_but_no_simulation():
 
 def test_the_page_has_the_shear_stiffness_of_the_published_mappings():
     """Over the measured one: K / (2 (1 + nu)) of an isotropic sheet, K / 2 of springs along both diagonals."""
-    text = (ROOT / "docs" / "recipes.md").read_text()
+    text = (ROOT / "docs" / "fabrics.md").read_text()
     rows = dict(re.findall(r"^\| (Newton|Isaac Sim|Genesis) \| (.*) \|$", text, re.M))
     for column, fabric in enumerate(fabrics("TextileFlinging").values()):
         stretch = fabric.stretch_stiffness_n_per_m
@@ -191,6 +197,86 @@ def test_tests_give_a_task_file_and_the_constants_of_engines(gauge):
     length = ["--bending-length", "0.021", *words[2:]]
     same = json.loads(gauge("recipe", "fabrics", *length, "--json").stdout)["tested"]
     assert same == row
+
+
+@pytest.mark.parametrize("name", ["StripBending-satin", "Funnel-rayon"])
+def test_the_task_file_of_a_tested_fabric_differs_in_the_fabric_alone(
+    name, gauge, tmp_path, monkeypatch
+):
+    """By hand: the mass is 0.4 kg/m2 times the area of the cloth."""
+    monkeypatch.chdir(tmp_path)
+    words = [word for pair in TESTS.items() for word in pair]
+    done = gauge("recipe", "fabrics", *words, "--id", name, "--out", "denim-2.toml")
+    assert not done.exit_code, done.stderr
+    copied, own = load_experiment(name), load_experiment("denim-2.toml")
+    assert own.name == f"Denim2{copied.variant.family}-tested"
+    (cloth,) = own.scene.deformables
+    assert cloth.mass_kg == pytest.approx(0.4 * math.prod(cloth.size_m))
+    assert cloth.bend_stiffness_n_m_per_rad == pytest.approx(36.3278e-6, rel=1e-5)
+    (published,) = copied.scene.deformables
+    fabric = asdict(Fabric.of(published)) | {"mass_kg": published.mass_kg}
+    assert replace(own.scene, deformables=(replace(cloth, **fabric),)) == copied.scene
+    assert own.frame_count == copied.frame_count
+    origin = own.spec.provenance_of(f"constants.{cloth.name}.tested.friction")
+    assert origin == f"nominal: of {copied.variant.material}"
+    gym.registry.pop(own.id, None)
+
+
+@pytest.mark.parametrize(
+    ("more", "text"),
+    [
+        (["--id", "StripBending-satin"], "needs both"),
+        (["--id", "StripBending-satin", "--out", "denim.json"], "ends in .toml"),
+        (["--id", "SlopeSlider-2-wood", "--out", "denim.toml"], "has no fabric"),
+    ],
+)
+def test_an_impossible_task_file_is_refused(more, text, gauge, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    words = [word for pair in TESTS.items() for word in pair]
+    refused = gauge("recipe", "fabrics", *words, *more)
+    assert refused.exit_code == 2
+    assert text in " ".join(refused.stderr.split())
+    assert not [*tmp_path.iterdir()]
+
+
+@pytest.mark.slow
+def test_the_commands_of_the_page_compare_engines_on_a_fabric(
+    gauge, tmp_path, monkeypatch
+):
+    """The markers of MuJoCo and Newton are within 2 % of the heavy elastica of the tested fabric."""
+    pytest.importorskip("newton")
+    monkeypatch.chdir(tmp_path)
+    page = ROOT / "docs" / "fabrics.md"
+    text = next(b for b in fenced(page, "sh") if "--out denim.toml" in b)
+    outputs = [gauge(*shlex.split(line)[1:]) for line in text.splitlines()]
+    assert not any(done.exit_code for done in outputs), outputs[-1].stderr
+    (row,) = re.findall(r"DenimStripBending-tested &(.*)\\\\", outputs[-1].stdout)
+    assert all(float(cell) < 0.02 for cell in row.split("&"))
+    gym.registry.pop("GAUGE/DenimStripBending-tested", None)
+
+
+def test_the_page_says_what_the_stored_sensitivities_show():
+    """A score tells a distance of 2 % of the motion from a solution."""
+    file = ROOT / "studies" / "models" / "sensitivity.csv"
+    page = (ROOT / "docs" / "fabrics.md").read_text(encoding="utf-8")
+    seen = {column: set() for column in ("stretch", "shear", "bend", "friction", "air")}
+    with file.open(encoding="utf-8", newline="") as stream:
+        for row in csv.DictReader(stream):
+            shown = re.search(rf"^\| {row['id']} \|(.*)\|$", page, re.MULTILINE)
+            cells = shown[1].replace("*", "").split("|")
+            assert [cell.strip() for cell in cells] == list(row.values())[1:]
+            assert float(row["noise"]) < 0.2
+            for column, ids in seen.items():
+                if row[column] != "-" and float(row[column]) >= 2.0:
+                    ids.add(row["id"])
+    assert seen["bend"] == {"StripBending-satin", "StripBending-oxford"}
+    assert not seen["shear"] | seen["friction"]
+    assert seen["stretch"] == {
+        "TextileBending-satin",
+        "TextileBending-oxford",
+        "TextileStretching-satin",
+    }
+    assert {"TextileFlinging-satin", "TextileFlinging-oxford"} <= seen["air"]
 
 
 @pytest.mark.parametrize("left_out", TESTS)

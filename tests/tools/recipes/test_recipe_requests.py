@@ -110,10 +110,12 @@ def test_engines_reach_torsional_and_rolling_friction(engine):
 @pytest.mark.parametrize(
     "place", [0, *(pytest.param(n, marks=pytest.mark.slow) for n in (1, 2))]
 )
-def test_the_command_prints_the_examples_of_the_page(place, gauge):
-    page = (ROOT / "docs" / "recipes.md").read_text()
+def test_the_command_prints_the_examples_of_the_pages(place, gauge):
+    pages = [ROOT / "docs" / name for name in ("recipes.md", "fabrics.md")]
     command, printed = re.findall(
-        r"```sh\n([^\n]*)\n```\n\n```text\n(.*?)```", page, re.DOTALL
+        r"```sh\n([^\n]*)\n```\n\n```text\n(.*?)```",
+        "".join(page.read_text() for page in pages),
+        re.DOTALL,
     )[place]
     # The page leaves out the wall time.
     output = gauge(*shlex.split(command)[1:]).output

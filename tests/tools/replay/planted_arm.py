@@ -102,12 +102,20 @@ def record(
             data.qfrc_applied[0] = model.actuator_gainprm[0, 0] * slack
             mujoco.mj_step(model, data)
     rng = np.random.default_rng(0)
-    noise = np.repeat([5e-4, 1e-2], model.nq)
-    noisy = np.array(states) + noise * rng.normal(size=(len(times_s), 2 * model.nq))
-    position, velocity = np.hsplit(noisy, 2)
+    noise = np.repeat([5e-4, 1e-2], [model.nq, model.nv])
+    noisy = np.array(states) + noise * rng.normal(size=(len(times_s), len(noise)))
+    position, velocity = np.split(noisy, [model.nq], axis=1)
     names = np.array([model.joint(joint).name for joint in range(model.njnt)])
+    base = {}
+    if model.nq > model.nv:
+        base["base_pos"], base["base_quat"], position = np.split(position, [3, 7], 1)
+        base["base_linvel"], base["base_angvel"], velocity = np.split(
+            velocity, [3, 6], 1
+        )
+        names = names[1:]
     log, file = folder / "log.npz", folder / "robot.xml"
-    np.savez(log, t=times_s, q=position, dq=velocity, target=targets, joints=names)
+    columns = {"q": position, "dq": velocity, "target": targets, "joints": names}
+    np.savez(log, t=times_s, **columns, **base)
     file.write_text(robot)
     return log, file
 

@@ -6,6 +6,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 from planted_arm import ARM, SERVO, record, swing
+from scipy.spatial.transform import Rotation
 from test_causes import (
     set_armature,
     set_effort,
@@ -131,6 +132,80 @@ def test_lines_of_the_map_correct_the_log(gauge, tmp_path, reading):
     ]
     assert [each.exit_code for each in shown] == [1, 0]
     assert "physics agrees" in " ".join(shown[1].stdout.split())
+
+
+SATELLITE = """
+<mujoco>
+  <compiler angle="radian"/>
+  <option timestep="0.002" gravity="0 0 0"/>
+  <worldbody>
+    <body>
+      <freejoint/>
+      <inertial pos="0.02 0.01 0" mass="6" diaginertia="0.09 0.13 0.2"/>
+      <body pos="0.2 0 0.1">
+        <joint name="arm" axis="0 1 0" armature="0.01" damping="0.1"/>
+        <geom type="capsule" fromto="0 0 0 0.3 0 0.1" size="0.03" mass="2"/>
+      </body>
+      <body pos="-0.2 0 0">
+        <joint name="boom" axis="1 0 0" armature="0.01" damping="0.1"/>
+        <geom type="capsule" fromto="0 0 0 -0.1 0.2 0.2" size="0.03" mass="2"/>
+      </body>
+    </body>
+  </worldbody>
+  <actuator>
+    <position joint="arm" kp="20" kv="1"/>
+    <position joint="boom" kp="20" kv="1"/>
+  </actuator>
+</mujoco>
+"""
+
+
+def in_other_axes(columns, turn, part):
+    """The base in other axes, of the world and of its own."""
+    changes = {key: columns[key] @ turn.T for key in ("base_pos", "base_linvel")}
+    if part == "axes":
+        rotation = Rotation.from_matrix(turn)
+        pose = Rotation.from_quat(columns["base_quat"], scalar_first=True)
+        pose = rotation * pose * rotation.inv()
+        changes["base_quat"] = pose.as_quat(scalar_first=True)
+        changes["base_angvel"] = columns["base_angvel"] @ turn.T
+    return changes
+
+
+Y_UP = np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]])
+PERMUTED = np.array([[0, 1, 0], [0, 0, 1], [1, 0, 0]])
+HALF_TURN = np.diag([-1, -1, 1])
+
+
+@pytest.mark.parametrize(
+    ("turn", "part", "axes"),
+    [
+        (Y_UP, "axes", "x -z y"),
+        *(
+            pytest.param(*row, marks=pytest.mark.slow)
+            for row in (
+                (PERMUTED, "axes", "z x y"),
+                (HALF_TURN, "axes", "-x -y z"),
+                (Y_UP, "position_axes", "x -z y"),
+            )
+        ),
+    ],
+)
+def test_the_line_of_axes_repairs_the_base(tmp_path, turn, part, axes):
+    robot, duration_s = SATELLITE, 8.0
+    if part == "position_axes":
+        # Gravity shows which axis of the position is up.
+        robot, duration_s = robot.replace('gravity="0 0 0"', ""), 1.0
+    log, model = record(tmp_path, robot=robot, duration_s=duration_s)
+    columns = dict(np.load(log))
+    assert not replay(log, model).line.mistakes
+    np.savez(log, **columns | in_other_axes(columns, turn, part))
+    line = replay(log, model).line
+    assert line.paste == {"map": f'{part} = "{axes}"'}
+    file = tmp_path / "map.toml"
+    file.write_text(line.paste["map"])
+    after = replay(log, model, mapped=read_map(file)).line
+    assert (after.mistakes, after.verdict) == ((), ReplayVerdict.NOISE)
 
 
 @pytest.mark.slow

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from places import ROOT
 from planted_arm import SERVO, record
+from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 from texts import fenced
 
@@ -40,6 +41,13 @@ def flawed(columns, flaw):
         }, "samples are taken as regular"
     if flaw == "unit":
         return {"dq": np.rad2deg(columns["dq"])}, "velocities are in deg/s"
+    if flaw == "factor":
+        return {"dq": columns["dq"] * [1.0, 0.5]}, "velocity of elbow is 0."
+    if flaw == "late":
+        return {"dq": np.roll(columns["dq"], 1, axis=0)}, "velocities are a row late"
+    if flaw == "spikes":
+        position[30::60, 0] += 0.4
+        return {"q": position}, "7 spikes are left out"
     repeated = {
         key: np.repeat(columns[key], 5, axis=0) for key in ("q", "dq", "target")
     }
@@ -50,7 +58,8 @@ def flawed(columns, flaw):
 
 
 @pytest.mark.parametrize(
-    "flaw", ["zeros", "numbers", "wraps", "jitter", "unit", "held"]
+    "flaw",
+    ["zeros", "numbers", "wraps", "jitter", "unit", "factor", "late", "spikes", "held"],
 )
 def test_a_flaw_is_named_and_makes_no_cause(tmp_path, flaw):
     log, model = record(tmp_path)
@@ -68,6 +77,53 @@ def test_true_velocities_of_a_fast_motion_raise_no_warning(tmp_path):
     angles = rate * time_s[:, None] + phase
     fast = saved(tmp_path, log, q=0.1 * np.sin(angles), dq=0.1 * rate * np.cos(angles))
     assert not any("velocities are" in text for text in read_log(fast).mistakes)
+
+
+def servo_at_10_hz(rate):
+    """Exact samples of a servo that gets a target every 0.1 s, with critical damping, and its targets."""
+    time_s = np.arange(0.0, 24.0, 0.1)
+    target = np.sin(3.0 * time_s) + 0.5 * np.sin(7.3 * time_s + 1.0)
+    law = expm(0.1 * np.array([[0.0, 1.0], [-(rate**2), -2.0 * rate]]))
+    states = [np.zeros(2)]
+    for goal in target[:-1]:
+        rest = np.array([goal, 0.0])
+        states.append(rest + law @ (states[-1] - rest))
+    position, velocity = np.transpose(states)
+    return {
+        "t": time_s,
+        "q_joint": position,
+        "dq_joint": velocity,
+        "target_joint": target,
+    }
+
+
+@pytest.mark.parametrize("rate", [5.0, 12.0, 25.0, 40.0])
+@pytest.mark.parametrize("factor", [1.0, 0.5, 3.0])
+def test_a_log_at_10_hz_tells_a_factor_from_a_motion_between_two_samples(
+    tmp_path, rate, factor
+):
+    """A servo of 25 rad/s has much lower velocities at a new target than before it; the slopes cannot judge them."""
+    columns = servo_at_10_hz(rate)
+    columns["dq_joint"] = factor * columns["dq_joint"]
+    np.savez(tmp_path / "log.npz", **columns)
+    found = "".join(read_log(tmp_path / "log.npz").mistakes)
+    is_judged = factor != 1.0 and rate < 20.0
+    assert ("times the slope" in found) == is_judged == bool(found)
+
+
+@pytest.mark.parametrize("rate_hz", [10, 50, 200])
+def test_a_bounce_is_no_spike(tmp_path, rate_hz):
+    time_s = np.arange(0.0, 1200.0 / rate_hz, 1.0 / rate_hz)
+    turn = 1.7 * time_s
+    bounce, speed = np.abs(np.sin(turn)), 1.7 * np.cos(turn) * np.sign(np.sin(turn))
+    bounce += 0.3 * (np.sin(0.4 * turn) > 0.9)
+    np.savez(tmp_path / "log.npz", t=time_s, q_joint=bounce, dq_joint=speed)
+    assert not read_log(tmp_path / "log.npz").mistakes
+    if rate_hz == 10:
+        return
+    bounce[100::97] += 1.5
+    np.savez(tmp_path / "log.npz", t=time_s, q_joint=bounce, dq_joint=speed)
+    assert "12 spikes" in read_log(tmp_path / "log.npz").mistakes[0]
 
 
 @pytest.mark.slow

@@ -1,5 +1,7 @@
 """Static rules: each names a mistake, and says nothing of its right twin."""
 
+from itertools import product
+
 import pytest
 from robot_faults import good_xml
 
@@ -163,16 +165,8 @@ def test_a_mistake_is_named_and_its_right_twin_is_not(
 )
 def test_legs_are_compared_with_each_other(rule, old, wrong, right, tmp_path):
     text = good_xml().replace("<position joint", "<position name={0} joint")
-    for joint in (
-        "FL_hip",
-        "FL_knee",
-        "FR_hip",
-        "FR_knee",
-        "RL_hip",
-        "RL_knee",
-        "RR_hip",
-        "RR_knee",
-    ):
+    for leg, part in product(("FL", "FR", "RL", "RR"), ("hip", "knee")):
+        joint = f"{leg}_{part}"
         text = text.replace(
             f'name={{0}} joint="{joint}"', f'name="{joint}" joint="{joint}"'
         )
@@ -270,10 +264,7 @@ def test_an_entry_that_accepts_nothing_is_said_with_its_file(
         ('density = "x"', "density: unknown key; write"),
         ("sanity = 3", "sanity: .* valid dictionary"),
         ('[sanity]\naccept = "density"', "sanity.accept: .* valid dictionary"),
-        ('[sanity]\naccept = ["density"]', "sanity.accept: .* valid dictionary"),
         ("[sanity.accept]\ndensity = 3", "sanity.accept.density: .* valid string"),
-        ("[sanity.accept]\ndensity = true", "sanity.accept.density: .* valid string"),
-        ('[sanity.accept]\ndensity.link = "x"', "accept.density: .* valid string"),
         ('[sanity.accept]\ndensity = " "', "density is accepted without a reason"),
         ("[sanity.accept\n", "not a TOML file"),
         ("<!-- gauge: acept density: x -->", '"gauge: acept density: x" is not read'),
