@@ -428,7 +428,7 @@ def _times_at_frames(
         )
     if abs(times_s[0]) > MAX_JITTER_S:
         raise ValueError(
-            f"row 0: {TIME} is {times_s[0]:g}, expected 0: the episode starts there"
+            f"row 0: {TIME} is {times_s[0]:g}: subtract it, as an episode starts at 0"
         )
     if times_s[-1] < frames_s[-1] - MAX_JITTER_S:
         raise ValueError(f"{row_count} rows end at {times_s[-1]:.4f} s; {needed}")
