@@ -14,7 +14,14 @@ from gauge_envs.names import first_names
 from gauge_envs.pages.document import Document, Paragraph, Tone
 from gauge_envs.pages.table import Column, Table
 from gauge_envs.tools.replay.causes import Cause, ParameterGroup, candidates
-from gauge_envs.tools.replay.fit import THRESHOLDS, Fit, Problem, fit_values
+from gauge_envs.tools.replay.fit import (
+    THRESHOLDS,
+    Fit,
+    Problem,
+    all_halves,
+    fit_values,
+    least_residuals,
+)
 from gauge_envs.tools.replay.judge import (
     YAML,
     judge_document,
@@ -29,11 +36,6 @@ from gauge_envs.tools.replay.schema import ConstantsLine, Value
 
 ATTRIBUTES = {"frictionloss": "dry friction", "kv": "kd", "forcerange": "effort limit"}
 """Causes by the name of their attribute in MJCF."""
-MAX_WIDTH = 2.0
-"""Half of the 95 % interval of a number, over its value or the typical one, up to which the logs determine it.
-
-With a standard error above its value, a number predicts worse than the present one.
-"""
 
 
 @dataclass(frozen=True)
@@ -127,7 +129,8 @@ def fit_constants(
             training=np.zeros(0),
             slopes=np.zeros(0),
         )
-        fit = fit_values(fit, problems)
+        numbers = least_residuals(fit, all_halves(problems)).x
+        fit = fit_values(replace(fit, numbers=numbers), problems)
         lost = _undetermined(fit)
         if not lost:
             return Constants(fit, _values(fit), unknown)
@@ -150,7 +153,7 @@ def _undetermined(fit: Fit) -> dict[str, str]:
         width = (high - fitted) / np.maximum(np.abs(fitted), cause.scale)
         for row in np.argmax(group.selection, axis=0).tolist():
             parameter, found = cause.parameters[row], (width[row], cause.name)
-            if width[row] > MAX_WIDTH:
+            if width[row] > THRESHOLDS.max_width:
                 widest[parameter] = max(widest.get(parameter, found), found)
     return {parameter: cause for parameter, (_width, cause) in widest.items()}
 

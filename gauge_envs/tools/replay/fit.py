@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import copy
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import OptimizeResult, approx_fprime, least_squares, lsq_linear
+from scipy.optimize import OptimizeResult, least_squares, lsq_linear
 from scipy.stats import t as student
 
 from gauge_envs.tools.replay.causes import Cause, ParameterGroup, change_setup
@@ -46,6 +47,17 @@ class Thresholds:
         max_excess_of_several: Largest excess of several causes that are named.
         max_ratio_of_several: Largest excess of several causes that are named, over that of the best single cause.
         enough_share: Share of one cause above which a second one is fitted only above `max_excess_of_several`.
+        equal_gap: Difference of errors over the excess of the model, up to which causes are equal in each piece.
+        min_share_of_equal: Smallest share of a cause that the log cannot tell from the best one, over that of this one.
+        significance: Probability of a signed-rank test below which a cause is worse than the best one.
+        max_growth: Largest excess of a fit on longer pieces, over that on short ones; and of a cause that the log
+            cannot tell from the best one, over that of this one.
+        min_seen: Smallest error of the model on longer pieces, over that on short ones.
+        min_lead_of_convention: Difference of misfits [nat] from which on causes explain a log better than another
+            convention.
+        min_correlation: Correlation of the commands from which on a second log is a repeat of the first.
+        max_width: Half of the 95 % interval of a constant, over its value or the typical one, up to which the logs
+            determine it: with a standard error above its value, it predicts worse than the present value.
         near_noise: Excess up to which no second cause is fitted, and a fit counts as one that reached the noise.
         number_cost: Part of the error that one more number of a fit must remove.
         max_groups: Number of groups of each cause that are fitted.
@@ -85,6 +97,14 @@ class Thresholds:
     max_excess_of_several: float = 2.0
     max_ratio_of_several: float = 0.4
     enough_share: float = 0.99
+    equal_gap: float = 1e-3
+    min_share_of_equal: float = 0.5
+    significance: float = 0.05
+    max_growth: float = 2.0
+    min_seen: float = 0.5
+    min_lead_of_convention: float = 0.5
+    min_correlation: float = 0.99
+    max_width: float = 2.0
     near_noise: float = 0.5
     number_cost: float = 0.01
     max_groups: int = 3
@@ -256,12 +276,10 @@ class Problem:
         self.weight, self.piece_s = 1.0, piece_s
         self.pieces = replayer.pieces(piece_s, count)
         self._halves = [self.pieces[::2], self.pieces[1::2]]
-        covariances = [
+        self._covariances = [
             replayer.covariance(noisy or setup, half) for half in self._halves
         ]
-        self.whiteners = [
-            np.linalg.inv(np.linalg.cholesky(each)) for each in covariances
-        ]
+        self.whiteners = [_whitener(each) for each in self._covariances]
         self.before = self.predict(Fit(training=NO_NUMBERS, slopes=NO_NUMBERS))
         self.screening = self._screening()
         self._halves.append(self._halves[0][self.screening])
@@ -291,15 +309,19 @@ class Problem:
             THRESHOLDS.max_long_s,
             self.max_total_s() / count,
         )
-        while length_s > THRESHOLDS.piece_s and self.floor == 1.0:
+        # The pieces are few: hardly longer ones say less than the many short ones.
+        while length_s > 2.0 * THRESHOLDS.piece_s and self.floor == 1.0:
             problem = Problem(
                 self.replayer, self.setup, noisy=noisy, piece_s=length_s, count=count
             )
-            is_seen = problem.before.error > 0.5 * self.before.error
+            is_seen = problem.before.error > THRESHOLDS.min_seen * self.before.error
             problem.weight = self.excess(self.before) / problem.excess(problem.before)
             (long,) = problem.judged([fit], [fit.label])
             # A chaotic motion is missed more and more.
-            limit = 2.0 * max(self.excess(fit), 0.0) + THRESHOLDS.near_noise
+            limit = (
+                THRESHOLDS.max_growth * max(self.excess(fit), 0.0)
+                + THRESHOLDS.near_noise
+            )
             if is_seen and problem.excess(long) < limit:
                 return problem, long
             length_s *= 0.5
@@ -317,6 +339,29 @@ class Problem:
             count=count,
             floor=self.floor,
         )
+
+    def weighted_by(self, fit: Fit) -> Problem:
+        """Return the problem whose residuals count less where a fit misses more than the noise.
+
+        What it misses is the covariance over time of each degree of freedom, over all pieces, less that of the noise.
+        """
+        setup = fit.change(self.setup)
+        pieces = np.concatenate(self._halves[:2])
+        missed = self.replayer.predict(setup, pieces)
+        _, times, dofs = missed.shape
+        noise = np.mean(np.concatenate(self._covariances), axis=0)
+        noise = noise.reshape(times, dofs, times, dofs)
+        total = np.zeros_like(noise)
+        for dof in range(dofs):
+            both = missed[..., dof].T @ missed[..., dof] / len(missed)
+            sizes, axes = np.linalg.eigh(both - noise[:, dof, :, dof])
+            total[:, dof, :, dof] = axes * np.maximum(sizes, 0.0) @ axes.T
+        problem = copy.copy(self)
+        problem.whiteners = [
+            _whitener(each + total.reshape(each.shape[1:]))
+            for each in self._covariances
+        ]
+        return problem
 
     def max_total_s(self) -> float:
         """Return the length of all pieces together whose noise costs `max_steps`."""
@@ -347,7 +392,10 @@ class Problem:
 
     def still_equal(self, fits: Sequence[Fit], names: Sequence[str]) -> list[str]:
         """Return the names whose fits on these pieces are as good as the first one."""
-        limit = 2.0 * max(self.excess(fits[0]), 0.0) + THRESHOLDS.max_excess_of_several
+        limit = (
+            THRESHOLDS.max_growth * max(self.excess(fits[0]), 0.0)
+            + THRESHOLDS.max_excess_of_several
+        )
         found = {fit.label: fit for fit in fits[1:]}
         return [
             name for name in names if name in found and self.excess(found[name]) < limit
@@ -404,6 +452,11 @@ class Problem:
         return fit.error * (1.0 + THRESHOLDS.number_cost * len(fit.numbers))
 
 
+def _whitener(covariance: FloatArray) -> FloatArray:
+    """Return what makes deviations independent, with variances of 1, for each covariance."""
+    return np.linalg.inv(np.linalg.cholesky(covariance))
+
+
 def least_residuals(
     fit: Fit,
     halves: Sequence[tuple[Problem, int]],
@@ -413,47 +466,70 @@ def least_residuals(
 
     The slopes are measured by finite differences at each step, or given, shape [R, p].
     """
+    latest = NO_NUMBERS, NO_NUMBERS
 
-    def residuals(numbers: FloatArray) -> FloatArray:
+    def residuals(change: FloatArray) -> FloatArray:
+        numbers = fit.numbers + change
         rows = [problem.residuals(fit, numbers, half) for problem, half in halves]
         return np.concatenate([row.ravel() for row in rows])
 
-    def measured(numbers: FloatArray) -> FloatArray:
-        return approx_fprime(numbers, residuals, THRESHOLDS.slope_step)
+    def remembered(change: FloatArray) -> FloatArray:
+        nonlocal latest
+        if not np.array_equal(change, latest[0]):
+            latest = change.copy(), residuals(change)
+        return latest[1]
 
-    # A present value may be below the smallest one that is fitted, as no friction.
-    lower = np.minimum(fit.lower, fit.numbers)
-    return least_squares(
-        residuals,
-        fit.numbers,
+    def measured(change: FloatArray) -> FloatArray:
+        steps = THRESHOLDS.slope_step * np.eye(len(change))
+        moved = [residuals(change + step) - remembered(change) for step in steps]
+        return np.transpose(moved) / THRESHOLDS.slope_step
+
+    # The first step of least squares is as large as what it begins with, or 1 for zeros: a change, and no number.
+    start = np.zeros(len(fit.numbers))
+    found = least_squares(
+        remembered,
+        start,
         measured if slopes is None else lambda _: slopes,
-        bounds=(lower, np.maximum(fit.upper, fit.numbers + 1e-9)),
+        # A present value may be below the smallest one that is fitted, as no friction.
+        bounds=(
+            np.minimum(fit.lower - fit.numbers, 0.0),
+            np.maximum(fit.upper - fit.numbers, 1e-9),
+        ),
+        method="dogbox",
         ftol=THRESHOLDS.min_gain,
         xtol=THRESHOLDS.min_step,
         max_nfev=THRESHOLDS.max_predictions,
     )
+    found.x += fit.numbers
+    return found
+
+
+def all_halves(problems: Iterable[Problem]) -> list[tuple[Problem, int]]:
+    """Return the fitted and the held-out half of each problem."""
+    return [(problem, half) for problem in problems for half in (0, 1)]
 
 
 def fit_values(fit: Fit, problems: Sequence[Problem]) -> Fit:
     """Return a fit with the numbers that all pieces of problems give together, and their 95 % intervals.
 
-    The residuals remain those of the training and the held-out pieces. The sandwich A^-1 B A^-1 sums the gradients by
-    pieces, so that correlated residuals and the spread over the pieces both widen an interval.
+    What the given fit misses weights the residuals: `Problem.weighted_by`. The sandwich A^-1 B A^-1 sums the gradients
+    by pieces, so that correlated residuals and the spread over the pieces both widen an interval. The residuals of the
+    fit remain those of the training and the held-out pieces.
     """
     if not len(fit.numbers):
         return fit
-    halves = [(problem, half) for problem in problems for half in (0, 1)]
+    halves = all_halves([problem.weighted_by(fit) for problem in problems])
     found = least_residuals(fit, halves)
     # Numbers of pieces, and of residuals of each.
     shapes = [problem.whiteners[half].shape[:2] for problem, half in halves]
     sizes = np.concatenate([np.full(*shape) for shape in shapes])
-    first = np.cumsum(sizes) - sizes
-    gradients = np.add.reduceat(found.jac * found.fun[:, None], first)
+    begin = np.cumsum(sizes) - sizes
+    gradients = np.add.reduceat(found.jac * found.fun[:, None], begin)
     inverse = np.linalg.pinv(found.jac.T @ found.jac)
     pieces, count = gradients.shape
     freedom = max(pieces - count, 1)
     spread = inverse @ gradients.T @ gradients @ inverse * pieces / freedom
-    # The noise alone gives the narrowest interval.
+    # The noise, and what is left as if it were noise, give the narrowest interval.
     variance = np.maximum(np.diag(spread), np.abs(np.diag(inverse)))
     half_width = student.ppf(0.975, freedom) * np.sqrt(variance)
     return replace(fit, numbers=found.x, half_width=half_width)

@@ -48,10 +48,6 @@ from gauge_envs.tools.replay.search import Explanation, explain
 HORIZONS_S = {0.0: 200, 0.1: 150, 0.5: 60}
 """Lengths of the predictions of the table, and their number; the first is one interval of the log."""
 NOISE_PIECES = 3
-MIN_CORRELATION = 0.99
-"""Correlation of the commands from which on a second log is a repeat of the first."""
-MIN_LEAD = 0.5
-"""Difference of misfits [nat] from which on causes explain a log better than another convention."""
 TRIAL_S = 0.5
 MAX_ROWS = 12
 """Joints that the text shows, those with the largest error first."""
@@ -118,7 +114,7 @@ def replay(
             # A cause may explain as well what another convention does.
             others = read(given)
             other, misfit_of_other = _explain(others, compiled, given, advance)
-            if misfit > misfit_of_other + MIN_LEAD:
+            if misfit > misfit_of_other + THRESHOLDS.min_lead_of_convention:
                 mapped, mistakes = given, []
                 logs, explanation = others, other
         line = _line(logs, model.name, explanation, mistakes)
@@ -299,7 +295,7 @@ def _repeat(first: Log, second: Log) -> Sequence[float] | None:
         make_interp_spline(log.command_time_s, log.command, k=1)(time_s).ravel()
         for log in (first, second)
     ]
-    if np.corrcoef(*commands)[0, 1] < MIN_CORRELATION:
+    if np.corrcoef(*commands)[0, 1] < THRESHOLDS.min_correlation:
         return None
     repeated = make_interp_spline(first.time_s, first.position, k=1)(time_s)
     return _rms(repeated - second.position[common]).tolist()

@@ -145,14 +145,17 @@ class Explanation:
 def _find_equal(problem: Problem, fits: Sequence[Fit]) -> list[str]:
     """Return the first cause, and those that the held-out pieces cannot tell from it (signed ranks, 5 %)."""
     best, *others = fits
-    small = 1e-3 * (problem.before.error - problem.floor)
+    small = THRESHOLDS.equal_gap * (problem.before.error - problem.floor)
     names = [best.label]
     for fit in others:
         gap = np.mean(fit.held_out**2 - best.held_out**2, axis=1)
-        if problem.share(fit) <= 0.5 * problem.share(best):
+        if problem.share(fit) <= THRESHOLDS.min_share_of_equal * problem.share(best):
             continue
         is_equal = np.abs(gap).max() < small
-        if is_equal or wilcoxon(gap, alternative="greater").pvalue > 0.05:
+        is_equal |= (
+            wilcoxon(gap, alternative="greater").pvalue > THRESHOLDS.significance
+        )
+        if is_equal:
             names.append(fit.label)
     return names
 

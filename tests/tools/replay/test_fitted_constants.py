@@ -55,6 +55,25 @@ def test_fitted_constants_predict_another_log(gauge, servo, tmp_path):
     assert "fitted.xml predicts best over" in text
 
 
+def set_friction(model):
+    model.dof_frictionloss[0] = 1.0
+
+
+@pytest.mark.parametrize("push", [0.0, 0.5])
+def test_an_interval_has_the_planted_value(tmp_path, push):
+    """The value is far from that of the model, and a push is what no constant explains."""
+    log, model = record(
+        tmp_path,
+        robot=SERVO,
+        change=set_friction,
+        push=lambda now_s: push * np.sin(11.0 * now_s),
+    )
+    (value,) = fit_logs([log], model, (), ["frictionloss"], (), LogMap()).values
+    assert value.low < 1.0 < value.high
+    # The velocities of the log alone leave some thousandths.
+    assert value.high - value.low < 0.04
+
+
 def test_constants_are_a_parameter_dict_of_mujoco(tmp_path):
     values = [
         Value("armature of knee", 0.0, 2e-5, 1e-5, 3e-5, changes=True),
