@@ -13,6 +13,7 @@ from texts import fenced
 
 from gauge_envs.errors import GaugeError
 from gauge_envs.tools.replay import ReplayVerdict, read_log, read_map, replay
+from gauge_envs.tools.replay.log import JointMap, LogMap
 
 EXAMPLE = ROOT / "examples" / "replay"
 
@@ -77,6 +78,36 @@ def test_true_velocities_of_a_fast_motion_raise_no_warning(tmp_path):
     angles = rate * time_s[:, None] + phase
     fast = saved(tmp_path, log, q=0.1 * np.sin(angles), dq=0.1 * rate * np.cos(angles))
     assert not any("velocities are" in text for text in read_log(fast).mistakes)
+
+
+def written_otherwise(columns, writing):
+    """The same log, written otherwise, and its map."""
+    joints = {key: columns[key] for key in ("q", "dq", "target")}
+    if writing == "clock":
+        return {"t": columns["t"] + 1000.0}, LogMap()
+    if writing == "unit":
+        return {key: np.rad2deg(joints[key]) for key in joints}, LogMap(unit="deg")
+    if writing == "order":
+        turned = {key: joints[key][:, ::-1] for key in joints}
+        return turned | {"joints": columns["joints"][::-1]}, LogMap()
+    if writing == "mirror":
+        entries = {str(name): JointMap(sign=-1) for name in columns["joints"]}
+        return {key: -joints[key] for key in joints}, LogMap(joints=entries)
+    half = {key: columns[key][:200] for key in ("t", *joints)}
+    return half, LogMap()
+
+
+@pytest.mark.parametrize("writing", ["clock", "unit", "order", "mirror", "half"])
+@pytest.mark.parametrize("flaw", ["", "factor", "late", "spikes", "zeros"])
+def test_mistakes_do_not_hang_on_how_a_log_is_written(tmp_path, flaw, writing):
+    log, _ = record(tmp_path)
+    columns = dict(np.load(log))
+    changes, words = flawed(columns, flaw) if flaw else ({}, "")
+    columns |= changes
+    changes, mapped = written_otherwise(columns, writing)
+    found = read_log(saved(tmp_path, log, **columns | changes), mapped=mapped).mistakes
+    assert len(found) == bool(flaw)
+    assert words.lstrip("0123456789") in "".join(found)
 
 
 def servo_at_10_hz(rate):
