@@ -184,6 +184,33 @@ def test_conventions_of_the_base_are_decided_by_its_motion(tmp_path):
         assert all(words in text for words, text in zip(texts, found, strict=True))
         assert np.allclose(log.base_pose[:, 3:], quaternion)
         assert np.allclose(log.base_twist, np.hstack([velocity, body_rate]), atol=1e-6)
+        again = read_log(tmp_path / "base.npz", mapped=log.mapped)
+        assert not any("is turned" in text for text in again.mistakes)
+
+
+def test_a_frame_that_explains_no_more_is_not_named(tmp_path):
+    """A trot turns the trunk by 30 mrad: its angular velocities are almost the same in both frames."""
+    rng = np.random.default_rng(0)
+    time_s = np.arange(0.0, 8.0, 0.02)
+    phase = np.outer(time_s, (13.0, 26.0, 6.5)) + np.array([0.0, 1.0, 2.0])
+    angles, rates = 0.03 * np.sin(phase), 0.03 * np.cos(phase) * (13.0, 26.0, 6.5)
+    rates = rates + 0.05 * rng.normal(size=rates.shape)
+    base = {"base_pos": angles, "base_linvel": rates, "base_angvel": rates}
+    turn = Rotation.from_euler("xyz", angles).as_quat(scalar_first=True)
+    np.savez(tmp_path / "l.npz", t=time_s, q=angles, dq=rates, base_quat=turn, **base)
+    assert not read_log(tmp_path / "l.npz").mistakes
+
+
+def test_the_map_that_a_check_finds_makes_it_silent(tmp_path):
+    log, _ = record(tmp_path)
+    velocity = np.load(log)["dq"]
+    file = saved(tmp_path, log, dq=velocity[:, ::-1] * [0.5, -3.0])
+    found = read_log(file)
+    words = ["are exchanged", "opposite sign", "times the slope", "times the slope"]
+    assert all(word in text for word, text in zip(words, found.mistakes, strict=True))
+    again = read_log(file, mapped=found.mapped)
+    assert not again.mistakes
+    assert np.allclose(again.velocity, found.velocity, rtol=1e-3)
 
 
 URDF = """
