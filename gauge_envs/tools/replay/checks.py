@@ -311,6 +311,11 @@ class Increments:
         """Mean squared difference of positions and integrals, shape [K]."""
         return np.mean((self.moved - self.turned) ** 2, axis=0)
 
+    def ratio(self, order: NDArray[np.intp]) -> FloatArray:
+        """Return integrals of velocities in an order over changes of positions, shape [K]."""
+        product = np.sum(self.moved * self.turned[:, order], axis=0)
+        return product / np.maximum(np.sum(self.moved**2, axis=0), 1e-12)
+
     @property
     def is_sure(self) -> BoolArray:
         """Whether the log can judge the velocities, shape [K]."""
@@ -349,7 +354,7 @@ def _rate_order(log: Log) -> Iterator[str]:
     best = np.abs(match[columns, order])
     exchanged = _is_loud(log, found) & found.is_sure & (best > 0.9)
     exchanged &= np.abs(np.diag(match)) < best - 0.2
-    exchanged &= _obeys(log, order, np.ones(len(order)))
+    exchanged &= _obeys(log, order, found.ratio(order))
     if exchanged.sum() > 1:
         order = np.where(exchanged, order, columns)
         others = {log.joints[k]: log.joints[order[k]] for k in columns[exchanged]}
@@ -400,11 +405,11 @@ def _is_loud(log: Log, found: Increments) -> BoolArray:
 def _ratios(log: Log) -> tuple[FloatArray, BoolArray, BoolArray]:
     """Return velocities over slopes, which joints show that they are one motion, and which of them judge it."""
     found = _increments(log.time_s, log.position, log.velocity)
+    own = np.arange(len(log.joints))
+    ratio = found.ratio(own)
     moved, turned = np.square([found.moved, found.turned]).sum(axis=1)
-    product = np.sum(found.moved * found.turned, axis=0)
-    ratio = product / np.maximum(moved, 1e-12)
-    is_clear = _is_loud(log, found) & (product**2 > 0.81 * moved * turned)
-    is_judged = is_clear & found.is_sure & _obeys(log, np.arange(len(ratio)), ratio)
+    is_clear = _is_loud(log, found) & (ratio**2 * moved > 0.81 * turned)
+    is_judged = is_clear & found.is_sure & _obeys(log, own, ratio)
     return ratio, is_clear, is_judged
 
 
@@ -437,11 +442,15 @@ def _rate_units(log: Log) -> Iterator[str]:
     """Bring velocities to the unit of the slopes of the positions, for all joints or for single ones."""
     ratio, is_clear, is_judged = _ratios(log)
     ratio = np.maximum(ratio, 1e-12)
-    is_far = is_judged & (np.abs(np.log(ratio)) > np.log(MAX_RATE_RATIO))
+    is_unlike = np.abs(np.log(ratio)) > np.log(MAX_RATE_RATIO)
+    is_far = is_judged & is_unlike
     if not is_far.any():
         return
     common = np.median(ratio[is_clear])
-    if not np.allclose(ratio[is_clear], common, rtol=SAME_RATIO):
+    # The clock, or another unit, concerns all joints.
+    is_one = np.allclose(ratio[is_clear], common, rtol=SAME_RATIO)
+    is_common = is_unlike[is_clear].all() and (is_one or not is_judged[is_clear].all())
+    if not is_common or 2 * is_clear.sum() <= len(ratio) > 1:
         _divide_rates(log, np.where(is_far, ratio, 1.0))
         for joint, number in compress(zip(log.joints, ratio, strict=True), is_far):
             yield f"velocity of {joint} is {number:.3g} times the slope of its position: it is divided by that"

@@ -78,13 +78,13 @@ def find_conventions(
 def misfits(
     log: Log, model: mujoco.MjModel, mapped: LogMap
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the misfit of short predictions, and how much of it is above twice the noise, shape [D]."""
+    """Return the misfit of short predictions, and how much of it is above 1.5 times the noise, shape [D]."""
     replayer = Replayer(log, model)
     setup = build_setup(model, log, mapped.control)
     horizon_s = max(HORIZON_S, MIN_SAMPLES * log.interval_s)
     pieces = replayer.pieces(horizon_s, PIECES, MIN_SAMPLES)
     misfit = replayer.misfit(setup, pieces)
-    least = np.log(2.0 * replayer.spread(pieces) / replayer.baseline(pieces))
+    least = np.log(1.5 * replayer.spread(pieces) / replayer.baseline(pieces))
     return misfit, np.maximum(misfit - least, 0.0)
 
 
@@ -100,7 +100,9 @@ def _conventions(
     slides = [name for name, joint in joints.items() if joint.type[0] == slide]
     if mapped.unit == "rad" and is_far:
         radians = {
-            name: {"scale": np.deg2rad(1.0)} for name in joints if name not in slides
+            name: {"scale": float(np.deg2rad(1.0))}
+            for name in joints
+            if name not in slides
         }
         degrees = mapped.model_copy(update={"unit": "deg"})
         yield (

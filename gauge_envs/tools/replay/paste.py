@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gauge_envs.files import write_whole
-from gauge_envs.tools.replay.log import LogMap, with_joints
+from gauge_envs.tools.replay.log import ANGLES, LogMap, with_joints
 from gauge_envs.tools.replay.model import Replayer, Setup
 
 JOINT_FIELDS = {
@@ -141,6 +142,7 @@ class Change:
                 offset = mapped.joint(joint).offset_rad + zero
                 change = {"offset_rad": float(_text(offset))}
                 mapped = with_joints(mapped, {joint: change})
+        mapped = with_joints(mapped, dict(self._commands()))
         for name, value in mapped.model_dump(exclude={"joints", "control"}).items():
             if value != getattr(self.given, name):
                 yield from _items({name: value})
@@ -151,6 +153,35 @@ class Change:
         if control := self._control():
             yield "[control]"
             yield from _items(control)
+
+    def _commands(self) -> Iterator[tuple[str, dict[str, Any]]]:
+        """Yield the joints whose commands change, with their column, scale and offset; a table has those of actions."""
+        before, after, log = self.before, self.after, self.replayer.log
+        model, mapped = self.replayer.model, log.mapped
+        zeros = dict(zip(log.joints, after.zero, strict=True))
+        drives = np.flatnonzero(before.is_driven).tolist()
+        names = {k: model.joint(model.actuator_trnid[k, 0]).name for k in drives}
+        for k in drives:
+            entry, column = mapped.joint(names[k]), after.command[:, k]
+            for sign, other in ((1.0, k), *product((1.0, -1.0), drives)):
+                if np.array_equal(column, sign * before.command[:, other]):
+                    break
+            else:
+                continue
+            scale, offset = sign, 0.0
+            if log.command_kind != "action":
+                scale = sign * after.scale[k]
+                pose = before.offset[other] * (log.command_kind == "target")
+                offset = after.offset[k] - scale * pose
+                offset -= zeros.get(names[k], 0.0) * (log.command_kind in ANGLES)
+            change: dict[str, Any] = {
+                "command_scale": float(_text(scale * entry.command_scale)),
+                "command_offset": float(_text(scale * entry.command_offset + offset)),
+            }
+            if other != k:
+                change["command"] = mapped.title(names[other], log.command_kind)
+            if entry.model_copy(update=change) != entry:
+                yield names[k], change
 
     def _control(self) -> dict[str, Any]:
         """Return what changes in the controller outside of the model; a table has all joints."""

@@ -208,6 +208,32 @@ def test_the_line_of_axes_repairs_the_base(tmp_path, turn, part, axes):
     assert (after.mistakes, after.verdict) == ((), ReplayVerdict.NOISE)
 
 
+@pytest.mark.parametrize(
+    "change",
+    [
+        pytest.param(lambda target: target[:, ::-1], id="exchanged"),
+        *(
+            pytest.param(change, id=name, marks=pytest.mark.slow)
+            for name, change in (
+                ("sign", lambda target: target * [1.0, -1.0]),
+                ("scale", lambda target: target * [0.5, 1.0]),
+                ("offset", lambda target: target + np.array([0.0, 0.3])),
+            )
+        ),
+    ],
+)
+def test_the_lines_of_commands_repair_them(tmp_path, change):
+    log, model = record(tmp_path)
+    columns = dict(np.load(log))
+    np.savez(log, **columns | {"target": change(columns["target"])})
+    line = replay(log, model).line
+    assert line.paste.keys() == {"map"}
+    assert "command" in line.paste["map"]
+    file = tmp_path / "map.toml"
+    file.write_text(line.paste["map"])
+    assert replay(log, model, mapped=read_map(file)).verdict is ReplayVerdict.NOISE
+
+
 @pytest.mark.slow
 def test_the_line_of_a_delay_goes_into_the_map(tmp_path):
     log, model = record(tmp_path, robot=SERVO, delay_s=0.03)

@@ -13,6 +13,7 @@ from texts import fenced
 
 from gauge_envs.errors import GaugeError
 from gauge_envs.tools.replay import ReplayVerdict, read_log, read_map, replay
+from gauge_envs.tools.replay.log import JointMap, LogMap
 
 EXAMPLE = ROOT / "examples" / "replay"
 
@@ -77,6 +78,36 @@ def test_true_velocities_of_a_fast_motion_raise_no_warning(tmp_path):
     angles = rate * time_s[:, None] + phase
     fast = saved(tmp_path, log, q=0.1 * np.sin(angles), dq=0.1 * rate * np.cos(angles))
     assert not any("velocities are" in text for text in read_log(fast).mistakes)
+
+
+def written_otherwise(columns, writing):
+    """The same log, written otherwise, and its map."""
+    joints = {key: columns[key] for key in ("q", "dq", "target")}
+    if writing == "clock":
+        return {"t": columns["t"] + 1000.0}, LogMap()
+    if writing == "unit":
+        return {key: np.rad2deg(joints[key]) for key in joints}, LogMap(unit="deg")
+    if writing == "order":
+        turned = {key: joints[key][:, ::-1] for key in joints}
+        return turned | {"joints": columns["joints"][::-1]}, LogMap()
+    if writing == "mirror":
+        entries = {str(name): JointMap(sign=-1) for name in columns["joints"]}
+        return {key: -joints[key] for key in joints}, LogMap(joints=entries)
+    half = {key: columns[key][:200] for key in ("t", *joints)}
+    return half, LogMap()
+
+
+@pytest.mark.parametrize("writing", ["clock", "unit", "order", "mirror", "half"])
+@pytest.mark.parametrize("flaw", ["", "factor", "late", "spikes", "zeros"])
+def test_mistakes_do_not_hang_on_how_a_log_is_written(tmp_path, flaw, writing):
+    log, _ = record(tmp_path)
+    columns = dict(np.load(log))
+    changes, words = flawed(columns, flaw) if flaw else ({}, "")
+    columns |= changes
+    changes, mapped = written_otherwise(columns, writing)
+    found = read_log(saved(tmp_path, log, **columns | changes), mapped=mapped).mistakes
+    assert len(found) == bool(flaw)
+    assert words.lstrip("0123456789") in "".join(found)
 
 
 def servo_at_10_hz(rate):
@@ -184,6 +215,33 @@ def test_conventions_of_the_base_are_decided_by_its_motion(tmp_path):
         assert all(words in text for words, text in zip(texts, found, strict=True))
         assert np.allclose(log.base_pose[:, 3:], quaternion)
         assert np.allclose(log.base_twist, np.hstack([velocity, body_rate]), atol=1e-6)
+        again = read_log(tmp_path / "base.npz", mapped=log.mapped)
+        assert not any("is turned" in text for text in again.mistakes)
+
+
+def test_a_frame_that_explains_no_more_is_not_named(tmp_path):
+    """A trot turns the trunk by 30 mrad: its angular velocities are almost the same in both frames."""
+    rng = np.random.default_rng(0)
+    time_s = np.arange(0.0, 8.0, 0.02)
+    phase = np.outer(time_s, (13.0, 26.0, 6.5)) + np.array([0.0, 1.0, 2.0])
+    angles, rates = 0.03 * np.sin(phase), 0.03 * np.cos(phase) * (13.0, 26.0, 6.5)
+    rates = rates + 0.05 * rng.normal(size=rates.shape)
+    base = {"base_pos": angles, "base_linvel": rates, "base_angvel": rates}
+    turn = Rotation.from_euler("xyz", angles).as_quat(scalar_first=True)
+    np.savez(tmp_path / "l.npz", t=time_s, q=angles, dq=rates, base_quat=turn, **base)
+    assert not read_log(tmp_path / "l.npz").mistakes
+
+
+def test_the_map_that_a_check_finds_makes_it_silent(tmp_path):
+    log, _ = record(tmp_path)
+    velocity = np.load(log)["dq"]
+    file = saved(tmp_path, log, dq=velocity[:, ::-1] * [0.5, -3.0])
+    found = read_log(file)
+    words = ["are exchanged", "opposite sign", "times the slope", "times the slope"]
+    assert all(word in text for word, text in zip(words, found.mistakes, strict=True))
+    again = read_log(file, mapped=found.mapped)
+    assert not again.mistakes
+    assert np.allclose(again.velocity, found.velocity, rtol=1e-3)
 
 
 URDF = """
