@@ -108,7 +108,7 @@ def worlds_shapes(lab: Lab) -> Measurement:
 
     Source: contract (gauge_envs.backends.simulation).
     """
-    faults: set[str] = set()
+    faults = set()
     for scene in (_rigid(lab), *lab.once(cloths)):
         for count in (1, 3):
             with closing(lab.build(scene, count)) as simulation:
@@ -186,7 +186,7 @@ def _batches(lab: Lab) -> list[tuple[Scene, Courses, dict[str, Courses]]]:
     """Return two scenes, the courses of single simulations, and those of each kind of batch."""
     batches = []
     for scene in (_rigid(lab), *lab.once(cloths)):
-        runs: dict[str, Courses] = {}
+        runs = {}
         compared = SINGLES[:3] if scene.deformables else SINGLES
         worlds = compared if scene.deformables else WORLDS
         singles: Courses = {}
@@ -223,8 +223,8 @@ def _first_gap(scene: Scene, gap: FloatArray, limit: float = ALONE.absolute) -> 
 
 def _compared(lab: Lab, *kinds: str) -> Measurement:
     """Measure the largest difference of courses from single simulations, and name its world, body and interval."""
-    errors: dict[str, float] = {}
-    mistakes: dict[str, dict[str, float]] = {}
+    errors = {}
+    mistakes = {}
     for scene, singles, runs in lab.once(_batches):
         for kind, number in product(kinds, singles):
             if kind not in runs:

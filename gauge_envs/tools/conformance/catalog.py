@@ -71,7 +71,7 @@ def checks(only: Sequence[str] = ()) -> tuple[Check, ...]:
 
     known = sorted(listed, key=place)
     ids = [check.id for check in known]
-    chosen: set[str] = set()
+    chosen = set()
     for pattern in only or ["*"]:
         matches = [
             check.id

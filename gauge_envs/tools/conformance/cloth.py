@@ -12,13 +12,7 @@ import numpy as np
 
 from gauge_envs.fixtures.parts import contact, driven_box, driver, fixed_box, ramp
 from gauge_envs.fixtures.recording import Recording
-from gauge_envs.scene import (
-    GRAVITY_M_PER_S2 as G,
-    Air,
-    Pose,
-    Region,
-    Scene,
-)
+from gauge_envs.scene import GRAVITY_M_PER_S2 as G, Air, Pose, Region, Scene
 from gauge_envs.scene.fabrics import Fabric
 from gauge_envs.scene.geometry import vector
 from gauge_envs.scoring.estimators import acceleration_m_per_s2, slide_friction
@@ -162,7 +156,7 @@ def _cloth_stretch(lab: Lab) -> Measurement:
     Source: uniaxial tension with free transverse edges (scene.Cloth).
     """
     rollout = lab.once(_hanging)
-    return worst_law(rollout, stretch_stiffness, "K_s", HANG_SETTLED_S)
+    return worst_law(rollout, stretch_stiffness, "K_s", HANG_SETTLED_S, HANG_S)
 
 
 SPAN_M, HEIGHT_M = 0.1, 0.4
@@ -214,7 +208,7 @@ def _cloth_shear(lab: Lab) -> Measurement:
         upright_sheet(fabric(0.6, 66.0, 1.2e-4)),
     )
     rollout = lab.rollout(side_by_side(scenes, SHEAR_S - SHEAR_SETTLED_S))
-    return worst_law(rollout, shear_stiffness, "K_sh", SHEAR_SETTLED_S)
+    return worst_law(rollout, shear_stiffness, "K_sh", SHEAR_SETTLED_S, SHEAR_S)
 
 
 CLAMP_SHARE, WIDTH_SHARE = 1.0 / 3.0, 2.0 / 3.0
@@ -299,7 +293,7 @@ def _cloth_bending(lab: Lab) -> Measurement:
         cantilever_strip(heavy),
     )
     rollout = lab.rollout(side_by_side(scenes, BENT_S - BENT_SETTLED_S))
-    return worst_law(rollout, strip_stiffness, "D", BENT_SETTLED_S)
+    return worst_law(rollout, strip_stiffness, "D", BENT_SETTLED_S, BENT_S)
 
 
 # --- contact ---------------------------------------------------------------------------------------------------------

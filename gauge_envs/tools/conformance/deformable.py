@@ -18,14 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
-from gauge_envs.fixtures.parts import (
-    box,
-    contact,
-    driven_box,
-    fixed_box,
-    ramp,
-    thrown,
-)
+from gauge_envs.fixtures.parts import box, contact, driven_box, fixed_box, ramp, thrown
 from gauge_envs.fixtures.recording import Recording
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2,
@@ -289,7 +282,9 @@ def droop(hung: Equilibrium) -> float:
     return coefficient(-hung.moved_m[free, 2] * scale, *columns)
 
 
-def worst_law(rollout: Recording, law: Law, what: str, settled_s: float) -> Measurement:
+def worst_law(
+    rollout: Recording, law: Law, what: str, settled_s: float, still_s: float
+) -> Measurement:
     """Measure the worst ratio of a measured to a given constant, of all bodies, at rest and moving.
 
     Args:
@@ -297,9 +292,8 @@ def worst_law(rollout: Recording, law: Law, what: str, settled_s: float) -> Meas
         law: Measures the constant.
         what: Name of the constant.
         settled_s: Time from which the bodies hang in equilibrium [s].
+        still_s: Time until which the frame stands still [s].
     """
-    (moves,) = rollout.scene.drivers
-    still_s = moves.motions[0].profiles[0].start_s
     moving_s = still_s + RAMP_S
     windows_s = {
         "at rest": (settled_s, still_s),

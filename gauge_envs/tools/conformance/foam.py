@@ -151,7 +151,7 @@ def _foam_tension(lab: Lab) -> Measurement:
     Source: prismatic bar under its weight (Timoshenko and Goodier).
     """
     measurements = (
-        worst_law(lab.once(_hanging), law, what, SETTLED_S)
+        worst_law(lab.once(_hanging), law, what, SETTLED_S, HUNG_S)
         for what, law in (("E", young), ("Poisson's ratio", poisson))
     )
     return max(measurements, key=lambda measurement: abs(measurement.measured - 1.0))

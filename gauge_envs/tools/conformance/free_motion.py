@@ -8,13 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.polynomial.polynomial import polyfit
 
-from gauge_envs.fixtures.parts import (
-    ball,
-    body,
-    box,
-    corners,
-    thrown,
-)
+from gauge_envs.fixtures.parts import ball, body, box, corners, thrown
 from gauge_envs.fixtures.recording import Recording
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2 as G,

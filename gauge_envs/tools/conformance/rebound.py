@@ -12,14 +12,7 @@ from gauge_envs.fixtures.drop import (
     drop_scene,
     fall_s,
 )
-from gauge_envs.fixtures.parts import (
-    ball,
-    box,
-    contact,
-    fixed_box,
-    ground,
-    thrown,
-)
+from gauge_envs.fixtures.parts import ball, box, contact, fixed_box, ground, thrown
 from gauge_envs.fixtures.recording import Recording
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G, Contact, Vector
 from gauge_envs.scene.geometry import FloatArray, vector

@@ -6,14 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from gauge_envs.fixtures.parts import box
-from gauge_envs.scene import (
-    GRAVITY_M_PER_S2 as G,
-    Pose,
-    Region,
-    Rod,
-    Rope,
-    Scene,
-)
+from gauge_envs.scene import GRAVITY_M_PER_S2 as G, Pose, Region, Rod, Rope, Scene
 from gauge_envs.tools.conformance.deformable import (
     FRAME,
     LEVEL,
@@ -190,4 +183,4 @@ def _rod_bending(lab: Lab) -> Measurement:
     """
     rods = [clamped_rod(rod) for rod in BENT_RODS]
     rollout = lab.rollout(side_by_side(rods, BENT_S - ROD_SETTLED_S))
-    return worst_law(rollout, rod_stiffness, "E I", ROD_SETTLED_S)
+    return worst_law(rollout, rod_stiffness, "E I", ROD_SETTLED_S, BENT_S)
