@@ -15,7 +15,8 @@ from gauge_envs.pages.document import Document, Paragraph, Tone
 from gauge_envs.pages.table import Column, Table
 from gauge_envs.tools.replay.causes import Cause, ParameterGroup, candidates
 from gauge_envs.tools.replay.fit import (
-    THRESHOLDS,
+    VALUE_COUNT,
+    VALUE_S,
     Fit,
     Problem,
     all_halves,
@@ -34,6 +35,9 @@ from gauge_envs.tools.replay.paste import Change
 from gauge_envs.tools.replay.report import fitted_values
 from gauge_envs.tools.replay.schema import ConstantsLine, Value
 
+MAX_WIDTH = 2.0
+"""Half of the 95 % interval of a constant, over its value or the typical one, up to which the logs determine it: with
+a standard error above its value, it predicts worse than the present value."""
 ATTRIBUTES = {"frictionloss": "dry friction", "kv": "kd", "forcerange": "effort limit"}
 """Causes by the name of their attribute in MJCF."""
 
@@ -117,8 +121,8 @@ def fit_constants(
     """
     problems = []
     for replayer, setup in pairs:
-        piece_s = min(THRESHOLDS.value_s, 0.25 * replayer.longest_s())
-        count = THRESHOLDS.value_count
+        piece_s = min(VALUE_S, 0.25 * replayer.longest_s())
+        count = VALUE_COUNT
         problems.append(Problem(replayer, setup, piece_s=piece_s, count=count))
     terms = _terms(problems[0], names, joints)
     unknown: list[str] = []
@@ -153,7 +157,7 @@ def _undetermined(fit: Fit) -> dict[str, str]:
         width = (high - fitted) / np.maximum(np.abs(fitted), cause.scale)
         for row in np.argmax(group.selection, axis=0).tolist():
             parameter, found = cause.parameters[row], (width[row], cause.name)
-            if width[row] > THRESHOLDS.max_width:
+            if width[row] > MAX_WIDTH:
                 widest[parameter] = max(widest.get(parameter, found), found)
     return {parameter: cause for parameter, (_width, cause) in widest.items()}
 
