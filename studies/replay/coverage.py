@@ -67,9 +67,7 @@ def errors_of(kind: str, seed: int) -> list[float]:
         joints = [joint.name for joint in spec.joints]
         np.savez(file, joints=joints, **record(robot, rng))
         log = read_log(file, joints, LogMap())
-    truth, present = (
-        build_setup(each.model, log, LogMap().control) for each in (planted, plain)
-    )
+    truth, present = (build_setup(each.model, log) for each in (planted, plain))
     truth.scale[:], truth.offset[:] = planted.scale, planted.offset
     # A command acts from the next physics step on.
     truth.delay_s[:] = np.ceil(planted.delay_s / truth.step_s - 1e-6) * truth.step_s

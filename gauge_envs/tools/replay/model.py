@@ -142,7 +142,7 @@ def joint_names(model: mujoco.MjModel) -> tuple[str, ...]:
     )
 
 
-def build_setup(model: mujoco.MjModel, log: Log, control: ControlMap) -> Setup:
+def build_setup(model: mujoco.MjModel, log: Log) -> Setup:
     """Return the setup that states what the user gave: the model, the gains and the scale of actions.
 
     Raises:
@@ -150,6 +150,7 @@ def build_setup(model: mujoco.MjModel, log: Log, control: ControlMap) -> Setup:
         ParameterError: The log has position targets, but neither model nor map has a gain for them.
     """
     kind, count, drives = log.command_kind, model.nu, _drives(model)
+    control = log.mapped.control
     setup = Setup(
         model=copy.copy(model),
         command_time_s=log.command_time_s,
@@ -197,12 +198,12 @@ def build_setup(model: mujoco.MjModel, log: Log, control: ControlMap) -> Setup:
     return setup
 
 
-def home_pose(model: mujoco.MjModel, log: Log, control: ControlMap) -> FloatArray:
+def home_pose(model: mujoco.MjModel, log: Log) -> FloatArray:
     """Return the default pose of the joints of a log, shape [J]: of the map, else the first keyframe or the zero."""
     home = model.key_qpos[0] if model.nkey else model.qpos0
     poses = []
     for name in log.joints:
-        given = control.of(name)["default_rad"]
+        given = log.mapped.control.of(name)["default_rad"]
         place = model.jnt_qposadr[model.joint(name).id]
         poses.append(home[place] if given is None else given)
     return np.array(poses)
@@ -502,15 +503,15 @@ class Replayer:
         return torques, is_touching
 
 
-def law_setups(replayer: Replayer, control: ControlMap) -> list[Setup]:
+def law_setups(replayer: Replayer) -> list[Setup]:
     """Return the setups that state what the user gave, the one that predicts best first.
 
     A law outside of the model may be computed in the user's own loop, from the state before each step, or inside of
     an implicit integrator.
     """
-    setup = build_setup(replayer.model, replayer.log, control)
+    setup = build_setup(replayer.model, replayer.log)
     euler = mujoco.mjtIntegrator.mjINT_EULER.value
-    if control.kp is None or setup.model.opt.integrator == euler:
+    if replayer.log.mapped.control.kp is None or setup.model.opt.integrator == euler:
         return [setup]
     explicit = copy.deepcopy(setup)
     explicit.model.opt.integrator = euler

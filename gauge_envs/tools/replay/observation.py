@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from gauge_envs.errors import FileError
 from gauge_envs.optional import needs_extra
 from gauge_envs.reading import faults_of
-from gauge_envs.tools.replay.log import FloatArray, Log, LogMap, noise_of
+from gauge_envs.tools.replay.log import FloatArray, Log, noise_of
 
 Variants: TypeAlias = list[tuple[str, FloatArray]]
 """The right values of a term, without a text, and the usual wrong ones, shape [N, K]."""
@@ -46,13 +46,12 @@ MIN_PAIRS = 30
 
 
 def check_policy(
-    log: Log, mapped: LogMap, home: FloatArray, policy: Policy | None = None
+    log: Log, home: FloatArray, policy: Policy | None = None
 ) -> Iterator[str]:
     """Yield in what observation and action differ from state and command, a sentence each.
 
     Args:
-        log: The log, with base and joints in the terms of the model.
-        mapped: Names the terms of the observation in their order, and their scales.
+        log: The log; its map names the terms of the observation in their order, and their scales.
         home: Default pose of the joints of the log, shape [J].
         policy: Returns the actions to observations.
 
@@ -61,26 +60,26 @@ def check_policy(
     """
     terms = [
         (name, count)
-        for name, _, count in (text.partition(" ") for text in mapped.observation)
+        for name, _, count in (text.partition(" ") for text in log.mapped.observation)
     ]
     rebuilt: list[Variants] = [
         []
         if count
         else [
-            (text, mapped.observation_scale.get(term, 1.0) * values)
-            for text, values in _variants(log, term, mapped, home)
+            (text, log.mapped.observation_scale.get(term, 1.0) * values)
+            for text, values in _variants(log, term, home)
         ]
         for term, count in terms
     ]
     if log.observation.size and terms:
         yield from _check_terms(log, terms, rebuilt)
-    yield from _check_action(log, mapped, home)
+    yield from _check_action(log, home)
     if policy is not None:
         observations = [("", log.observation)]
         if not log.observation.size:
             observations = [*_observations(log, terms, rebuilt)]
         actions = [(text, policy(values)) for text, values in observations]
-        for text in _differs(_actions(log, mapped, home), actions):
+        for text in _differs(_actions(log, home), actions):
             yield f"The logged action differs from the policy: {text}."
 
 
@@ -104,7 +103,7 @@ def _check_terms(
 
 
 def _variants(
-    log: Log, term: str, mapped: LogMap, home: FloatArray
+    log: Log, term: str, home: FloatArray
 ) -> Iterator[tuple[str, FloatArray]]:
     """Yield the variants of a term."""
     turn = Rotation.identity()
@@ -118,7 +117,7 @@ def _variants(
     elif term == "joint_vel":
         yield "", log.velocity
     elif term == "last_action":
-        actions = _actions(log, mapped, home)
+        actions = _actions(log, home)
         yield "", np.roll(actions, 1, axis=0)
         yield "of the present step", actions
     elif term == "projected_gravity":
@@ -150,18 +149,20 @@ def _variants(
         raise FileError("--map", f"observation {term}", reason)
 
 
-def _actions(log: Log, mapped: LogMap, home: FloatArray) -> FloatArray:
+def _actions(log: Log, home: FloatArray) -> FloatArray:
     """Return the actions, which the targets contain where the log has none."""
     if log.action.size or log.command_kind != "target":
         return log.action if log.action.size else log.held_command()
-    return (log.held_command() - home) / _action_scale(log, mapped)
+    return (log.held_command() - home) / _action_scale(log)
 
 
-def _action_scale(log: Log, mapped: LogMap) -> FloatArray:
-    return np.array([mapped.control.of(name)["action_scale"] for name in log.joints])
+def _action_scale(log: Log) -> FloatArray:
+    return np.array(
+        [log.mapped.control.of(name)["action_scale"] for name in log.joints]
+    )
 
 
-def _check_action(log: Log, mapped: LogMap, home: FloatArray) -> Iterator[str]:
+def _check_action(log: Log, home: FloatArray) -> Iterator[str]:
     """Yield in what the targets of a log differ from its actions."""
     target = log.held_command()
     if (
@@ -169,7 +170,7 @@ def _check_action(log: Log, mapped: LogMap, home: FloatArray) -> Iterator[str]:
         or not log.action.shape == target.shape == log.position.shape
     ):
         return
-    moved = _action_scale(log, mapped) * log.action
+    moved = _action_scale(log) * log.action
     variants = [
         ("", moved),
         ("without the default pose", moved - home),
@@ -281,7 +282,7 @@ def _state(log: Log) -> FloatArray:
     terms = [log.position, log.velocity]
     if log.base_pose.size:
         for term in OF_BASE:
-            terms.append(next(_variants(log, term, LogMap(), log.position[0]))[1])
+            terms.append(next(_variants(log, term, log.position[0]))[1])
     return np.hstack(terms)
 
 

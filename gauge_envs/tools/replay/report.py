@@ -113,16 +113,15 @@ def replay(
     with quiet_engine():
         mapped, mistakes = find_conventions(lambda m: read(m)[-1], compiled, given)
         logs = read(mapped)
-        explanation, misfit = _explain(logs, compiled, mapped, advance)
+        explanation, misfit = _explain(logs, compiled, advance)
         if mistakes and explanation.verdict is not ReplayVerdict.NOISE:
             # A cause may explain as well what another convention does.
             others = read(given)
-            other, misfit_of_other = _explain(others, compiled, given, advance)
+            other, misfit_of_other = _explain(others, compiled, advance)
             if misfit > misfit_of_other + MIN_LEAD_OF_CONVENTION:
-                mapped, mistakes = given, []
-                logs, explanation = others, other
+                logs, explanation, mistakes = others, other, []
         line = _line(logs, model.name, explanation, mistakes)
-    line = replace(line, policy=_policy_side(logs, compiled, mapped, policy))
+    line = replace(line, policy=_policy_side(logs, compiled, policy))
     if line.policy and line.verdict is not ReplayVerdict.LOG:
         line = replace(line, verdict=ReplayVerdict.POLICY)
     if [each.cause for each in line.named] == [ZERO]:
@@ -144,19 +143,16 @@ def replay(
 def _explain(
     logs: Sequence[Log],
     model: mujoco.MjModel,
-    mapped: LogMap,
     advance: Callable[[str], None],
 ) -> tuple[Explanation, float]:
     """Return what explains the last log, and the misfit that is left."""
     floor = 1.0
     if len(logs) > 1:
         first = Replayer(logs[0], model)
-        floor = max(
-            1.0, Problem(first, law_setups(first, mapped.control)[0]).before.error
-        )
+        floor = max(1.0, Problem(first, law_setups(first)[0]).before.error)
     replayer = Replayer(logs[-1], model)
     found: list[Explanation] = []
-    for setup in law_setups(replayer, mapped.control):
+    for setup in law_setups(replayer):
         problem = Problem(replayer, setup, floor=floor)
         if not all(log.is_usable for log in logs):
             found.append(Explanation(problem, ReplayVerdict.LOG))
@@ -174,12 +170,12 @@ def _explain(
 
 
 def _policy_side(
-    logs: Sequence[Log], model: mujoco.MjModel, mapped: LogMap, policy: Path | None
+    logs: Sequence[Log], model: mujoco.MjModel, policy: Path | None
 ) -> tuple[str, ...]:
     """Return in what observation and action differ from state and command, a sentence each."""
-    home = home_pose(model, logs[-1], mapped.control)
+    home = home_pose(model, logs[-1])
     run = load_policy(policy) if policy else None
-    found = [*check_policy(logs[-1], mapped, home, run)]
+    found = [*check_policy(logs[-1], home, run)]
     if len(logs) > 1 and not found:
         found = [*compare_commands(*logs)]
     return tuple(found)
