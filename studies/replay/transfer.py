@@ -47,7 +47,7 @@ def read_run(file: Path, folder: Path) -> tuple[Replayer, Setup]:
 
 def weighted(run: tuple[Replayer, Setup], setups: list[Setup]) -> list[Setup]:
     """Return setups with the constants that `gauge replay --fit` finds in a run."""
-    fit = fit_constants([run], FITTED, ()).fit
+    fit, _ = fit_constants([run], FITTED, ())
     return [fit.change(setup) for setup in setups]
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -42,21 +42,6 @@ ATTRIBUTES = {"frictionloss": "dry friction", "kv": "kd", "forcerange": "effort 
 """Causes by the name of their attribute in MJCF."""
 
 
-@dataclass(frozen=True)
-class Constants:
-    """Constants that were fitted.
-
-    Attributes:
-        fit: The fit, with the numbers that the logs determine.
-        values: Them, and the present values of the others.
-        unknown: Numbers that the logs do not determine.
-    """
-
-    fit: Fit
-    values: Sequence[Value]
-    unknown: Sequence[str]
-
-
 def fit_logs(
     logs: Sequence[Path],
     model: Path,
@@ -83,30 +68,29 @@ def fit_logs(
     """
     with quiet_engine():
         pairs = load_setups(logs, model, mapped)
-        found = fit_constants(pairs, names, joints)
+        fit, unknown = fit_constants(pairs, names, joints)
         present = load_setups(tests or logs, model, mapped)
-        fitted = [(each, found.fit.change(setup)) for each, setup in present]
+        fitted = [(each, fit.change(setup)) for each, setup in present]
         judged = judge_setups([model.name, "fitted"], [present, fitted])
         change = Change(
             before=pairs[0][1],
-            after=found.fit.shown_setup(pairs[0][1]),
+            after=fit.shown_setup(pairs[0][1]),
             replayer=pairs[0][0],
             in_degrees=uses_degrees(model),
             given=mapped,
         )
+        values = constant_values(fit)
         if write is not None and write.suffix in YAML:
-            write_whole(write, parameter_dict(found.values))
+            write_whole(write, parameter_dict(values))
         elif write is not None:
             change.write(model, write)
-    return ConstantsLine(
-        tuple(found.values), tuple(found.unknown), tuple(judged), change.lines()
-    )
+    return ConstantsLine(tuple(values), tuple(unknown), tuple(judged), change.lines())
 
 
 def fit_constants(
     pairs: Sequence[tuple[Replayer, Setup]], names: Sequence[str], joints: Sequence[str]
-) -> Constants:
-    """Return constants of joints that make the predictions of all logs best, by least squares.
+) -> tuple[Fit, list[str]]:
+    """Return a fit of constants that makes the predictions of all logs best, and constants that these do not determine.
 
     Of each joint, the number whose interval is widest,
     and far wider than its value, keeps the present value, and the others are fitted again.
@@ -130,14 +114,12 @@ def fit_constants(
         fit = Fit(
             terms=tuple(terms),
             numbers=np.concatenate([_start(*term) for term in terms]),
-            training=np.zeros(0),
-            slopes=np.zeros(0),
         )
         numbers = least_residuals(fit, all_halves(problems)).x
         fit = fit_values(replace(fit, numbers=numbers), problems)
         lost = _undetermined(fit)
         if not lost:
-            return Constants(fit, _values(fit), unknown)
+            return fit, unknown
         unknown += [f"{cause} of {parameter}" for parameter, cause in lost.items()]
         terms = []
         for cause, group in fit.terms:
@@ -147,7 +129,7 @@ def fit_constants(
                 selection = group.selection[:, kept]
                 terms.append((cause, ParameterGroup(group.label, selection)))
         if not terms:
-            return Constants(problems[0].before, (), unknown)
+            return problems[0].before, unknown
 
 
 def _undetermined(fit: Fit) -> dict[str, str]:
@@ -200,7 +182,7 @@ def _start(cause: Cause, group: ParameterGroup) -> FloatArray:
     return np.clip(group.selection.T @ numbers, lower, cause.far)
 
 
-def _values(fit: Fit) -> list[Value]:
+def constant_values(fit: Fit) -> list[Value]:
     """Return the fitted values, whose names contain the cause."""
     return [
         replace(value, parameter=f"{interval.cause.name} of {value.parameter}")

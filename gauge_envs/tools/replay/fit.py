@@ -68,6 +68,10 @@ SLOPE_STEP = 0.1
 """Step of finite differences. Contacts make the residuals rough, and smaller steps measure that roughness."""
 
 
+def _no_numbers() -> FloatArray:
+    return NO_NUMBERS
+
+
 class Interval(NamedTuple):
     """Values of a cause, shape [K], with the ends of their 95 % intervals, NaN where there are none."""
 
@@ -89,20 +93,18 @@ class Fit:
             `Problem.predict`.
         slopes: Change per number on the pieces that screen, shape [R, T D, p].
         reach: How far the linear model of the residuals is used, shape [p].
-        step: Change of the numbers to the optimum of the linear model, shape [p].
-        linear_error: Mean squared training error there.
+        linear_error: Mean squared training error at the optimum of the linear model.
         held_out: Residuals of the other pieces; empty before `Problem.predict`.
         half_width: Half of the 95 % interval of each number, where it was computed.
     """
 
     terms: tuple[tuple[Cause, ParameterGroup], ...] = ()
-    numbers: FloatArray = field(default_factory=lambda: NO_NUMBERS)
-    training: FloatArray
-    slopes: FloatArray
-    reach: FloatArray = field(default_factory=lambda: NO_NUMBERS)
-    step: FloatArray = field(default_factory=lambda: NO_NUMBERS)
+    numbers: FloatArray = field(default_factory=_no_numbers)
+    training: FloatArray = field(default_factory=_no_numbers)
+    slopes: FloatArray = field(default_factory=_no_numbers)
+    reach: FloatArray = field(default_factory=_no_numbers)
     linear_error: float = np.inf
-    held_out: FloatArray = field(default_factory=lambda: NO_NUMBERS)
+    held_out: FloatArray = field(default_factory=_no_numbers)
     half_width: FloatArray | None = None
 
     @property
@@ -176,7 +178,7 @@ class Fit:
             yield Interval(cause, group, fitted, low, high)
 
     def linearize(self) -> Fit:
-        """Return the fit with the step to the optimum of its linear model."""
+        """Return the fit at the optimum of its linear model."""
         if not len(self.numbers):
             return replace(self, linear_error=self.training_error)
         columns = np.dstack([self.slopes, -self.training])
@@ -187,7 +189,8 @@ class Fit:
         upper = np.clip(self.upper - self.numbers, 1e-9, self.reach)
         solution = lsq_linear(triangle[:, :-1], triangle[:, -1], (lower, upper))
         linear_error = 2.0 * solution.cost / self.training.size
-        return replace(self, step=solution.x, linear_error=linear_error)
+        numbers = self.numbers + solution.x
+        return replace(self, numbers=numbers, linear_error=linear_error)
 
 
 class Problem:
@@ -224,7 +227,7 @@ class Problem:
             replayer.covariance(noisy or setup, half) for half in self._halves
         ]
         self.whiteners = [_whitener(each) for each in self._covariances]
-        self.before = self.predict(Fit(training=NO_NUMBERS, slopes=NO_NUMBERS))
+        self.before = self.predict(Fit())
         self.screening = self._screening()
         self._halves.append(self._halves[0][self.screening])
         self.whiteners.append(self.whiteners[0][self.screening])

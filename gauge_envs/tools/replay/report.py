@@ -120,12 +120,8 @@ def replay(
             other, misfit_of_other = _explain(others, compiled, advance)
             if misfit > misfit_of_other + MIN_LEAD_OF_CONVENTION:
                 logs, explanation, mistakes = others, other, []
-        line = _line(logs, model.name, explanation, mistakes)
-    line = replace(line, policy=_policy_side(logs, compiled, policy))
-    if line.policy and line.verdict is not ReplayVerdict.LOG:
-        line = replace(line, verdict=ReplayVerdict.POLICY)
-    if [each.cause for each in line.named] == [ZERO]:
-        line = replace(line, verdict=ReplayVerdict.LOG)
+        sentences = _policy_side(logs, compiled, policy)
+        line = _line(logs, model.name, explanation, mistakes, sentences)
     problem = explanation.problem
     named = explanation.change if line.named else None
     change = Change(
@@ -182,7 +178,11 @@ def _policy_side(
 
 
 def _line(
-    logs: Sequence[Log], model: str, explanation: Explanation, mistakes: Sequence[str]
+    logs: Sequence[Log],
+    model: str,
+    explanation: Explanation,
+    mistakes: Sequence[str],
+    policy: tuple[str, ...],
 ) -> ExplanationLine:
     """Return the report without its sentence and the lines to paste."""
     problem, several = explanation.problem, explanation.several
@@ -197,23 +197,28 @@ def _line(
             f"{begin_s:.3g} to {end_s:.3g} s are unlike the rest, and left out"
         )
     wrong = (text for each in logs for text in each.mistakes)
+    named, verdict = _named(explanation, alone, together), explanation.verdict
+    if mistakes or [each.cause for each in named] == [ZERO]:
+        verdict = ReplayVerdict.LOG
+    elif policy and verdict is not ReplayVerdict.LOG:
+        verdict = ReplayVerdict.POLICY
     return ExplanationLine(
         log=explained.name,
         baseline=baseline[0].name if baseline else None,
         model=model,
-        verdict=ReplayVerdict.LOG if mistakes else explanation.verdict,
+        verdict=verdict,
         sentence="",
         error_over_noise=1.0 + problem.excess(problem.before),
         error_after=1.0 + problem.excess(change),
         baseline_over_noise=problem.floor if baseline else None,
         findings=tuple(dict.fromkeys(found)),
         mistakes=tuple(dict.fromkeys([*mistakes, *wrong])),
-        policy=(),
+        policy=policy,
         trial=_try_change(problem, change),
         joints=_joint_reports(problem, _repeat(logs[0], explained)),
         candidates=tuple(alone),
         indistinguishable=tuple(explanation.indistinguishable),
-        named=tuple(_named(explanation, alone, together)),
+        named=tuple(named),
         several=tuple(together),
         paste={},
     )

@@ -134,7 +134,6 @@ def best_fits(problem: Problem, screened: Sequence[Fit]) -> list[Fit]:
     fits: list[Fit] = []
     few = _few_by_cause(problem, screened, MAX_GROUPS)
     for fit in few[:MAX_REFINED]:
-        fit = replace(fit, numbers=fit.numbers + fit.step)
         if fit.linear_error < limit and len(fit.numbers):
             fits.append(problem.minimize(fit, measure=False))
         else:
