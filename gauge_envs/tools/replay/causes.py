@@ -44,6 +44,11 @@ class ParameterGroup:
     label: str
     selection: FloatArray
 
+    @property
+    def size(self) -> int:
+        """Number of numbers, p."""
+        return self.selection.shape[1]
+
 
 def groups_of(count: int, *labels: str) -> list[ParameterGroup]:
     """Return a group of each value; with `all` one of a common number, with `each` one of a number each."""
@@ -108,7 +113,7 @@ class Cause:
     def lower(self, group: ParameterGroup) -> FloatArray:
         """Return the smallest numbers of a group, shape [p]."""
         if not self.is_positive:
-            return np.full(group.selection.shape[1], -self.far)
+            return np.full(group.size, -self.far)
         smallest = MIN_FACTOR - self.zero / self.scale
         by_number = np.where(group.selection.T > 0.0, smallest, -FAR)
         return by_number.max(axis=1, initial=-FAR)

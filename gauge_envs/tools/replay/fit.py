@@ -138,16 +138,14 @@ class Fit:
     @property
     def upper(self) -> FloatArray:
         """Largest numbers, shape [p]."""
-        largest = [
-            np.full(group.selection.shape[1], cause.far) for cause, group in self.terms
-        ]
+        largest = [np.full(group.size, cause.far) for cause, group in self.terms]
         return np.concatenate([NO_NUMBERS, *largest])
 
     def split(
         self, numbers: FloatArray
     ) -> Iterator[tuple[tuple[Cause, ParameterGroup], FloatArray]]:
         """Return each term with its numbers."""
-        sizes = [group.selection.shape[1] for _, group in self.terms]
+        sizes = [group.size for _, group in self.terms]
         parts = np.split(numbers, np.cumsum(sizes)[:-1])
         return zip(self.terms, parts, strict=False)
 

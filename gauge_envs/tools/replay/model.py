@@ -162,7 +162,6 @@ def build_setup(model: mujoco.MjModel, log: Log) -> Setup:
         zero=np.zeros(len(log.joints)),
     )
     _use_joint_units(setup.model)
-    home = model.key_qpos[0] if model.nkey else model.qpos0
     for name, command in zip(log.command_names, log.command.T, strict=True):
         if name not in drives:
             known = first_names([*drives])
@@ -187,8 +186,7 @@ def build_setup(model: mujoco.MjModel, log: Log) -> Setup:
             setup.scale[index] = given["action_scale"]
         zero, gear = 0.0, 1.0
         if is_angle:
-            pose = given["default_rad"]
-            pose = home[joint.qposadr[0]] if pose is None else pose
+            pose = default_angle(model, log, joint.name)
             setup.offset[index] = pose
             zero = pose if kind == "target" else 0.0
         elif kind == "ctrl" and not is_motor:
@@ -198,15 +196,11 @@ def build_setup(model: mujoco.MjModel, log: Log) -> Setup:
     return setup
 
 
-def home_pose(model: mujoco.MjModel, log: Log) -> FloatArray:
-    """Return the default pose of the joints of a log, shape [J]: of the map, else the first keyframe or the zero."""
+def default_angle(model: mujoco.MjModel, log: Log, joint: str) -> float:
+    """Return the angle of a joint in the default pose: of the map, else of the first keyframe or the zero."""
+    given: float | None = log.mapped.control.of(joint)["default_rad"]
     home = model.key_qpos[0] if model.nkey else model.qpos0
-    poses = []
-    for name in log.joints:
-        given = log.mapped.control.of(name)["default_rad"]
-        place = model.jnt_qposadr[model.joint(name).id]
-        poses.append(home[place] if given is None else given)
-    return np.array(poses)
+    return home[model.joint(joint).qposadr[0]] if given is None else given
 
 
 def _drives(model: mujoco.MjModel) -> dict[str, int]:

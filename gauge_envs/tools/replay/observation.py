@@ -19,6 +19,8 @@ from gauge_envs.tools.replay.log import FloatArray, Log, noise_of
 
 Variants: TypeAlias = list[tuple[str, FloatArray]]
 """The right values of a term, without a text, and the usual wrong ones, shape [N, K]."""
+Term: TypeAlias = tuple[str, str, Variants]
+"""A term of the observation, its number of columns where it cannot be rebuilt, and its variants where it can."""
 Policy: TypeAlias = Callable[[FloatArray], FloatArray]
 
 OF_BASE = ("base_linvel", "base_angvel", "projected_gravity")
@@ -58,38 +60,28 @@ def check_policy(
     Raises:
         FileError: The terms do not have the columns of the observation, or cannot be rebuilt.
     """
-    terms = [
-        (name, count)
-        for name, _, count in (text.partition(" ") for text in log.mapped.observation)
-    ]
-    rebuilt: list[Variants] = [
-        []
-        if count
-        else [
-            (text, log.mapped.observation_scale.get(term, 1.0) * values)
-            for text, values in _variants(log, term, home)
-        ]
-        for term, count in terms
-    ]
+    terms: list[Term] = []
+    for named in log.mapped.observation:
+        term, _, count = named.partition(" ")
+        scale = log.mapped.observation_scale.get(term, 1.0)
+        rebuilt = () if count else _variants(log, term, home)
+        terms.append((term, count, [(text, scale * each) for text, each in rebuilt]))
     if log.observation.size and terms:
-        yield from _check_terms(log, terms, rebuilt)
+        yield from _check_terms(log, terms)
     yield from _check_action(log, home)
     if policy is not None:
         observations = [("", log.observation)]
         if not log.observation.size:
-            observations = [*_observations(log, terms, rebuilt)]
+            observations = [*_observations(log, terms)]
         actions = [(text, policy(values)) for text, values in observations]
         for text in _differs(_actions(log, home), actions):
             yield f"The logged action differs from the policy: {text}."
 
 
-def _check_terms(
-    log: Log, terms: Sequence[tuple[str, str]], rebuilt: Sequence[Variants]
-) -> Iterator[str]:
+def _check_terms(log: Log, terms: Sequence[Term]) -> Iterator[str]:
     """Yield in what each term of the observation differs from the state."""
     widths = [
-        int(count) if count else variants[0][1].shape[1]
-        for (_, count), variants in zip(terms, rebuilt, strict=True)
+        int(count) if count else variants[0][1].shape[1] for _, count, variants in terms
     ]
     if sum(widths) != log.observation.shape[1]:
         reason = (
@@ -97,7 +89,7 @@ def _check_terms(
         )
         raise FileError("--map", "observation", reason)
     seen = np.split(log.observation, np.cumsum(widths)[:-1], axis=1)
-    for (term, _), variants, columns in zip(terms, rebuilt, seen, strict=True):
+    for (term, _, variants), columns in zip(terms, seen, strict=True):
         for text in _differs(columns, variants):
             yield f"The policy sees {term} {text}."
 
@@ -180,19 +172,15 @@ def _check_action(log: Log, home: FloatArray) -> Iterator[str]:
         yield f"The target is the action {text}."
 
 
-def _observations(
-    log: Log, terms: Sequence[tuple[str, str]], rebuilt: Sequence[Variants]
-) -> Iterator[tuple[str, FloatArray]]:
+def _observations(log: Log, terms: Sequence[Term]) -> Iterator[tuple[str, FloatArray]]:
     """Yield the rebuilt observation, and that with each usual mistake of a term."""
-    for term, count in terms:
+    for term, count, _ in terms:
         if count:
             reason = "it is not in the state of the log; log the observation as obs"
             raise FileError(log.name, f"observation {term}", reason)
-    values = [variants[0][1] for variants in rebuilt]
+    values = [variants[0][1] for _, _, variants in terms]
     yield "", np.hstack(values)
-    for place, ((term, _), (right, *wrong)) in enumerate(
-        zip(terms, rebuilt, strict=True)
-    ):
+    for place, (term, _, (right, *wrong)) in enumerate(terms):
         for text, values[place] in wrong:
             yield f"with {term} {text}", np.hstack(values)
         values[place] = right[1]

@@ -20,7 +20,7 @@ from gauge_envs.tools.replay.log import FloatArray, Log, LogMap
 from gauge_envs.tools.replay.model import (
     UNLIMITED,
     Replayer,
-    home_pose,
+    default_angle,
     joint_names,
     law_setups,
     load_model,
@@ -169,9 +169,9 @@ def _policy_side(
     logs: Sequence[Log], model: mujoco.MjModel, policy: Path | None
 ) -> tuple[str, ...]:
     """Return in what observation and action differ from state and command, a sentence each."""
-    home = home_pose(model, logs[-1])
-    run = load_policy(policy) if policy else None
-    found = [*check_policy(logs[-1], home, run)]
+    log, run = logs[-1], load_policy(policy) if policy else None
+    home = np.array([default_angle(model, log, joint) for joint in log.joints])
+    found = [*check_policy(log, home, run)]
     if len(logs) > 1 and not found:
         found = [*compare_commands(*logs)]
     return tuple(found)

@@ -80,7 +80,7 @@ def try_cause(problem: Problem, cause: Cause, base: Fit) -> list[Fit]:
     def fit(
         group: ParameterGroup, start: float, moved: FloatArray, slopes: FloatArray
     ) -> Fit:
-        numbers = np.full(group.selection.shape[1], start)
+        numbers = np.full(group.size, start)
         return Fit(
             terms=(*base.terms, (cause, group)),
             numbers=np.append(base.numbers, numbers),
@@ -221,7 +221,7 @@ def _fit_pairs(
             return pairs
         if problem.share(best) < MIN_HOPE:
             break
-    *_, count = (group.selection.shape[1] for _, group in best.terms)
+    *_, count = (group.size for _, group in best.terms)
     first = len(best.numbers) - count
     second = replace(
         best,
