@@ -125,21 +125,18 @@ class Fit:
         return self.linear_error
 
     @property
-    def training_error(self) -> float:
-        """Mean squared training error."""
-        return float(np.mean(self.training**2))
+    def room(self) -> tuple[FloatArray, FloatArray]:
+        """Largest change of each number down and up, shape [p].
 
-    @property
-    def lower(self) -> FloatArray:
-        """Smallest numbers, shape [p]."""
+        A present value may be below the smallest one that is fitted, as no friction.
+        """
         smallest = [cause.lower(group) for cause, group in self.terms]
-        return np.concatenate([NO_NUMBERS, *smallest])
-
-    @property
-    def upper(self) -> FloatArray:
-        """Largest numbers, shape [p]."""
         largest = [np.full(group.size, cause.far) for cause, group in self.terms]
-        return np.concatenate([NO_NUMBERS, *largest])
+        lower, upper = (
+            np.concatenate([NO_NUMBERS, *each]) - self.numbers
+            for each in (smallest, largest)
+        )
+        return np.minimum(lower, 0.0), np.maximum(upper, 1e-9)
 
     def split(
         self, numbers: FloatArray
@@ -178,14 +175,14 @@ class Fit:
     def linearize(self) -> Fit:
         """Return the fit at the optimum of its linear model."""
         if not len(self.numbers):
-            return replace(self, linear_error=self.training_error)
+            return replace(self, linear_error=np.mean(self.training**2))
         columns = np.dstack([self.slopes, -self.training])
         # The orthogonal factor changes no residual norm.
         flat = columns.reshape(self.training.size, -1)
         triangle = np.asarray(np.linalg.qr(flat, mode="r"))
-        lower = np.clip(self.lower - self.numbers, -self.reach, 0.0)
-        upper = np.clip(self.upper - self.numbers, 1e-9, self.reach)
-        solution = lsq_linear(triangle[:, :-1], triangle[:, -1], (lower, upper))
+        lower, upper = self.room
+        bounds = np.maximum(lower, -self.reach), np.minimum(upper, self.reach)
+        solution = lsq_linear(triangle[:, :-1], triangle[:, -1], bounds)
         linear_error = 2.0 * solution.cost / self.training.size
         numbers = self.numbers + solution.x
         return replace(self, numbers=numbers, linear_error=linear_error)
@@ -326,11 +323,12 @@ class Problem:
                 again = self.minimize(judged, measure=True)
                 judged = min(judged, again, key=self.cost)
             found.append(judged)
-        return sorted(found, key=self._rank)
 
-    def _rank(self, fit: Fit) -> tuple[float, int, float]:
-        excess = max(self.excess(fit), NEAR_NOISE)
-        return excess, len(fit.numbers), self.cost(fit)
+        def rank(fit: Fit) -> tuple[float, int, float]:
+            excess = max(self.excess(fit), NEAR_NOISE)
+            return excess, len(fit.numbers), self.cost(fit)
+
+        return sorted(found, key=rank)
 
     def still_equal(self, fits: Sequence[Fit], names: Sequence[str]) -> list[str]:
         """Return the names whose fits on these pieces are as good as the first one."""
@@ -429,11 +427,7 @@ def least_residuals(
         remembered,
         start,
         measured if slopes is None else lambda _: slopes,
-        # A present value may be below the smallest one that is fitted, as no friction.
-        bounds=(
-            np.minimum(fit.lower - fit.numbers, 0.0),
-            np.maximum(fit.upper - fit.numbers, 1e-9),
-        ),
+        bounds=fit.room,
         method="dogbox",
         ftol=MIN_GAIN,
         xtol=MIN_STEP,

@@ -72,18 +72,20 @@ def try_cause(problem: Problem, cause: Cause, base: Fit) -> list[Fit]:
     residuals.
     """
 
-    def change(group: ParameterGroup, numbers: FloatArray) -> FloatArray:
-        moved = replace(base, terms=(*base.terms, (cause, group)))
+    def extended(group: ParameterGroup, numbers: FloatArray) -> Fit:
         numbers = np.append(base.numbers, numbers)
-        return problem.residuals(moved, numbers, 2) - screened
+        return Fit(terms=(*base.terms, (cause, group)), numbers=numbers)
+
+    def change(group: ParameterGroup, numbers: FloatArray) -> FloatArray:
+        moved = extended(group, numbers)
+        return problem.residuals(moved, moved.numbers, 2) - screened
 
     def fit(
         group: ParameterGroup, start: float, moved: FloatArray, slopes: FloatArray
     ) -> Fit:
         numbers = np.full(group.size, start)
-        return Fit(
-            terms=(*base.terms, (cause, group)),
-            numbers=np.append(base.numbers, numbers),
+        return replace(
+            extended(group, numbers),
             training=screened + moved,
             slopes=np.concatenate([base.slopes, slopes], axis=-1),
             reach=np.append(base.reach, numbers * 0.0 + reach[row]),
