@@ -29,7 +29,7 @@ from gauge_envs.tools.replay.judge import (
     judge_setups,
     load_setups,
 )
-from gauge_envs.tools.replay.log import FloatArray, LogMap
+from gauge_envs.tools.replay.log import LogMap
 from gauge_envs.tools.replay.model import Replayer, Setup, quiet_engine, uses_degrees
 from gauge_envs.tools.replay.paste import Change
 from gauge_envs.tools.replay.report import fitted_values
@@ -111,10 +111,12 @@ def fit_constants(
     terms = _terms(problems[0], names, joints)
     unknown: list[str] = []
     while True:
-        fit = Fit(
-            terms=tuple(terms),
-            numbers=np.concatenate([_start(*term) for term in terms]),
-        )
+        start = []
+        for cause, group in terms:
+            present = (cause.present - cause.zero) / cause.scale
+            lower = cause.lower(group)
+            start.append(np.clip(group.selection.T @ present, lower, cause.far))
+        fit = Fit(terms=tuple(terms), numbers=np.concatenate(start))
         numbers = least_residuals(fit, all_halves(problems)).x
         fit = fit_values(replace(fit, numbers=numbers), problems)
         lost = _undetermined(fit)
@@ -173,13 +175,6 @@ def _terms(
         selection = np.eye(len(cause.parameters))[:, chosen]
         terms.append((cause, ParameterGroup("each", selection)))
     return terms
-
-
-def _start(cause: Cause, group: ParameterGroup) -> FloatArray:
-    """Return the numbers of the present values, inside of the bounds, shape [p]."""
-    numbers = (cause.present - cause.zero) / cause.scale
-    lower = cause.lower(group)
-    return np.clip(group.selection.T @ numbers, lower, cause.far)
 
 
 def constant_values(fit: Fit) -> list[Value]:

@@ -138,20 +138,9 @@ class Fit:
         )
         return np.minimum(lower, 0.0), np.maximum(upper, 1e-9)
 
-    def split(
-        self, numbers: FloatArray
-    ) -> Iterator[tuple[tuple[Cause, ParameterGroup], FloatArray]]:
-        """Return each term with its numbers."""
-        sizes = [group.size for _, group in self.terms]
-        parts = np.split(numbers, np.cumsum(sizes)[:-1])
-        return zip(self.terms, parts, strict=False)
-
     def change(self, setup: Setup) -> Setup:
         """Return a setup with the values of the fit."""
-        changes = [
-            (cause, cause.values(group, numbers))
-            for (cause, group), numbers in self.split(self.numbers)
-        ]
+        changes = [(each.cause, each.fitted) for each in self.intervals()]
         return change_setup(setup, changes)
 
     def shown_setup(self, setup: Setup) -> Setup:
@@ -166,10 +155,12 @@ class Fit:
     def intervals(self) -> Iterator[Interval]:
         """Yield the values of each cause, with their 95 % intervals."""
         half = np.nan * self.numbers if self.half_width is None else self.half_width
-        trials = (self.numbers, self.numbers - half, self.numbers + half)
-        for terms in zip(*map(self.split, trials), strict=True):
-            cause, group = terms[0][0]
-            fitted, low, high = (cause.values(group, numbers) for _, numbers in terms)
+        trials = np.array([self.numbers, self.numbers - half, self.numbers + half])
+        begin = 0
+        for cause, group in self.terms:
+            rows = trials[:, begin : begin + group.size]
+            begin += group.size
+            fitted, low, high = (cause.values(group, numbers) for numbers in rows)
             yield Interval(cause, group, fitted, low, high)
 
     def linearize(self) -> Fit:
@@ -202,6 +193,7 @@ class Problem:
         pieces: Samples of all pieces, shape [P, 1 + T].
         whiteners: What makes the deviations of each half independent, shape [P, T D, T D].
         before: The model as it is.
+        screening: Which of the fitted pieces screen the causes, shape [R].
     """
 
     def __init__(
@@ -223,19 +215,15 @@ class Problem:
         ]
         self.whiteners = [_whitener(each) for each in self._covariances]
         self.before = self.predict(Fit())
-        self.screening = self._screening()
+        errors = np.mean(self.before.training**2, axis=1)
+        fraction = SCREENING_DOFS / len(replayer.dofs)
+        few = max(SCREENING_COUNT, round(fraction * len(errors)))
+        places = np.linspace(0, len(errors) - 1, min(few, len(errors)))
+        self.screening = np.sort(np.argsort(errors)[places.round().astype(int)])
         self._halves.append(self._halves[0][self.screening])
         self.whiteners.append(self.whiteners[0][self.screening])
         no_slopes = np.zeros((*self.whiteners[2].shape[:2], 0))
         self.before = replace(self.before, slopes=no_slopes)
-
-    def _screening(self) -> IntArray:
-        """Return which of the fitted pieces screen the causes, shape [R]."""
-        errors = np.mean(self.before.training**2, axis=1)
-        fraction = SCREENING_DOFS / len(self.replayer.dofs)
-        count = max(SCREENING_COUNT, round(fraction * len(errors)))
-        places = np.linspace(0, len(errors) - 1, min(count, len(errors)))
-        return np.sort(np.argsort(errors)[places.round().astype(int)])
 
     def lengthened(self, fit: Fit) -> tuple[Problem, Fit]:
         """Return the problem with the longest pieces that a fit predicts, and with its noise; and the fit there.

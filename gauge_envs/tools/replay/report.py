@@ -131,7 +131,11 @@ def replay(
         in_degrees=uses_degrees(model),
         given=given,
     )
-    sentence = _sentence(line, explanation)
+    # The answer: mistakes of the log, what is missing in the model, and what is left.
+    parts = [f"The log is wrong: {text}." for text in line.mistakes]
+    is_read = explanation.verdict is not ReplayVerdict.LOG
+    physics = _physics(line) if is_read else ()
+    sentence = " ".join([*parts, *line.policy, *physics])
     line = replace(line, sentence=sentence, paste=change.lines())
     return ReplayResult(line, problem, explanation.change)
 
@@ -197,7 +201,10 @@ def _line(
             f"{begin_s:.3g} to {end_s:.3g} s are unlike the rest, and left out"
         )
     wrong = (text for each in logs for text in each.mistakes)
-    named, verdict = _named(explanation, alone, together), explanation.verdict
+    verdict = explanation.verdict
+    named = together if change is several else alone[:1]
+    if not explanation.change or verdict is ReplayVerdict.NOTHING:
+        named = []
     if mistakes or [each.cause for each in named] == [ZERO]:
         verdict = ReplayVerdict.LOG
     elif policy and verdict is not ReplayVerdict.LOG:
@@ -222,16 +229,6 @@ def _line(
         several=tuple(together),
         paste={},
     )
-
-
-def _named(
-    explanation: Explanation, alone: Sequence[Explained], together: Sequence[Explained]
-) -> Sequence[Explained]:
-    """Return the causes that a verdict is about."""
-    if not explanation.change or explanation.verdict is ReplayVerdict.NOTHING:
-        return []
-    is_together = explanation.change is explanation.several
-    return together if is_together else alone[:1]
 
 
 def _try_change(problem: Problem, change: Fit) -> Trial:
@@ -355,14 +352,6 @@ def _text(cause: Cause, label: str, values: Sequence[Value], step_s: float) -> s
         return f"{name} of {label}: {min(numbers):.2g} to {max(numbers):.2g}{unit}"
     texts = [f"{each.parameter} {each.fitted:.3g}" for each in values]
     return f"{name}: {', '.join(texts)}{unit}"
-
-
-def _sentence(line: ExplanationLine, explanation: Explanation) -> str:
-    """Return the answer: mistakes of the log, what is missing in the model, and what is left."""
-    parts = [f"The log is wrong: {text}." for text in line.mistakes]
-    is_read = explanation.verdict is not ReplayVerdict.LOG
-    physics = _physics(line) if is_read else ()
-    return " ".join([*parts, *line.policy, *physics])
 
 
 def _physics(line: ExplanationLine) -> Iterator[str]:
