@@ -30,7 +30,7 @@ from gauge_envs.tools.replay.judge import (
     load_setups,
 )
 from gauge_envs.tools.replay.log import LogMap
-from gauge_envs.tools.replay.model import Replayer, Setup, quiet_engine, uses_degrees
+from gauge_envs.tools.replay.model import Replayer, Setup, quiet_engine
 from gauge_envs.tools.replay.paste import Change
 from gauge_envs.tools.replay.report import fitted_values
 from gauge_envs.tools.replay.schema import ConstantsLine, Value
@@ -76,14 +76,14 @@ def fit_logs(
             before=pairs[0][1],
             after=fit.shown_setup(pairs[0][1]),
             replayer=pairs[0][0],
-            in_degrees=uses_degrees(model),
+            file=model,
             given=mapped,
         )
         values = constant_values(fit)
         if write is not None and write.suffix in YAML:
             write_whole(write, parameter_dict(values))
         elif write is not None:
-            change.write(model, write)
+            change.write(write)
     return ConstantsLine(tuple(values), tuple(unknown), tuple(judged), change.lines())
 
 

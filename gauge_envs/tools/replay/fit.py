@@ -335,16 +335,16 @@ class Problem:
         is_odd = errors > ODD_ERROR * max(np.median(errors), self.floor)
         return pieces[is_odd & (is_odd.mean() < MAX_ODD)]
 
-    def residuals(self, fit: Fit, numbers: FloatArray, half: int) -> FloatArray:
-        """Return the whitened residuals of a half for numbers, shape [P, T D]: training, held out or screening (2)."""
-        setup = replace(fit, numbers=numbers).change(self.setup)
+    def residuals(self, fit: Fit, half: int) -> FloatArray:
+        """Return the whitened residuals of a half, shape [P, T D]: training, held out or screening (2)."""
+        setup = fit.change(self.setup)
         deviation = self.replayer.predict(setup, self._halves[half])
         columns = deviation.reshape(len(deviation), -1, 1)
         return (self.whiteners[half] @ columns)[..., 0]
 
     def predict(self, fit: Fit) -> Fit:
         """Return a fit with all its residuals."""
-        training, held_out = (self.residuals(fit, fit.numbers, half) for half in (0, 1))
+        training, held_out = (self.residuals(fit, half) for half in (0, 1))
         return replace(fit, training=training, held_out=held_out)
 
     def minimize(self, fit: Fit, *, measure: bool) -> Fit:
@@ -394,8 +394,8 @@ def least_residuals(
     latest = NO_NUMBERS, NO_NUMBERS
 
     def residuals(change: FloatArray) -> FloatArray:
-        numbers = fit.numbers + change
-        rows = [problem.residuals(fit, numbers, half) for problem, half in halves]
+        moved = replace(fit, numbers=fit.numbers + change)
+        rows = [problem.residuals(moved, half) for problem, half in halves]
         return np.concatenate([row.ravel() for row in rows])
 
     def remembered(change: FloatArray) -> FloatArray:

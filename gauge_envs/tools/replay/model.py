@@ -128,11 +128,6 @@ def load_model(file: Path, control: ControlMap | None = None) -> mujoco.MjModel:
         return spec.compile()
 
 
-def uses_degrees(file: Path) -> bool:
-    """Return whether the angles of a model file are in degrees."""
-    return bool(mujoco.MjSpec.from_file(str(file)).compiler.degree)
-
-
 def joint_names(model: mujoco.MjModel) -> tuple[str, ...]:
     """Return the names of the hinges and slides in the order of the model."""
     return tuple(
@@ -184,14 +179,13 @@ def build_setup(model: mujoco.MjModel, log: Log) -> Setup:
             _set_law(drive, given["kp"], given["kd"])
         if kind == "action":
             setup.scale[index] = given["action_scale"]
-        zero, gear = 0.0, 1.0
         if is_angle:
             pose = default_angle(model, log, joint.name)
             setup.offset[index] = pose
-            zero = pose if kind == "target" else 0.0
+            command = command - pose if kind == "target" else command
         elif kind == "ctrl" and not is_motor:
-            gear = model.actuator_gear[index, 0]
-        setup.command[:, index] = command / gear - zero
+            command = command / model.actuator_gear[index, 0]
+        setup.command[:, index] = command
         setup.is_driven[index] = True
     return setup
 

@@ -40,14 +40,14 @@ class Change:
     Attributes:
         before, after: The setups.
         replayer: The log.
-        in_degrees: Whether the angles of the file of the model are in degrees.
+        file: The file of the model.
         given: The map that the user gave.
     """
 
     before: Setup
     after: Setup
     replayer: Replayer
-    in_degrees: bool
+    file: Path
     given: LogMap
 
     def lines(self) -> dict[str, str]:
@@ -58,9 +58,12 @@ class Change:
         places = {"map": [*self._map()], "MJCF": [*self._elements()]}
         return {place: "\n".join(lines) for place, lines in places.items() if lines}
 
-    def write(self, model: Path, out: Path) -> None:
+    def _spec(self) -> mujoco.MjSpec:
+        return mujoco.MjSpec.from_file(str(self.file))
+
+    def write(self, out: Path) -> None:
         """Write a model file with the change, except for what stands in the map."""
-        spec = mujoco.MjSpec.from_file(str(model))
+        spec = self._spec()
         changed, after = spec.compile(), self.after.model
         for field in (*JOINT_FIELDS.values(), *BODY_FIELDS.values()):
             rows = self._rows(field)
@@ -98,7 +101,7 @@ class Change:
                 joint = model.joint(row if is_range else model.dof_jntid[row])
                 numbers = getattr(model, field)[row]
                 is_hinge = joint.type[0] == mujoco.mjtJoint.mjJNT_HINGE.value
-                if is_range and is_hinge and self.in_degrees:
+                if is_range and is_hinge and self._spec().compiler.degree:
                     numbers = np.rad2deg(numbers)
                 limited = {"limited": "true"} if is_range else {}
                 values = {"name": joint.name, **limited, attribute: numbers}

@@ -25,7 +25,6 @@ from gauge_envs.tools.replay.model import (
     law_setups,
     load_model,
     quiet_engine,
-    uses_degrees,
 )
 from gauge_envs.tools.replay.observation import (
     check_policy,
@@ -128,7 +127,7 @@ def replay(
         before=problem.setup,
         after=named.shown_setup(problem.setup) if named else problem.setup,
         replayer=problem.replayer,
-        in_degrees=uses_degrees(model),
+        file=model,
         given=given,
     )
     # The answer: mistakes of the log, what is missing in the model, and what is left.

@@ -77,8 +77,7 @@ def try_cause(problem: Problem, cause: Cause, base: Fit) -> list[Fit]:
         return Fit(terms=(*base.terms, (cause, group)), numbers=numbers)
 
     def change(group: ParameterGroup, numbers: FloatArray) -> FloatArray:
-        moved = extended(group, numbers)
-        return problem.residuals(moved, moved.numbers, 2) - screened
+        return problem.residuals(extended(group, numbers), 2) - screened
 
     def fit(
         group: ParameterGroup, start: float, moved: FloatArray, slopes: FloatArray
