@@ -242,22 +242,17 @@ def compare_commands(first: Log, second: Log) -> Iterator[str]:
     ):
         return
     spread = states[0].std(axis=0) + 1e-9
-    tree = KDTree(states[0] / spread)
-    step = np.linalg.norm(np.diff(states[0] / spread, axis=0), axis=1)
+    known, asked = (each / spread for each in states)
+    tree = KDTree(known)
+    step = np.linalg.norm(np.diff(known, axis=0), axis=1)
     limit = 0.5 * float(np.median(step))
-    around = tree.query_ball_point(states[0] / spread, limit)
-    pairs = [
-        (row, other)
-        for row, others in enumerate(around)
-        for other in others
-        if first.time_s[other] - first.time_s[row] > FAR_S
-    ]
-    distance, nearest = tree.query(states[1] / spread)
+    pairs = tree.query_pairs(limit, output_type="ndarray")
+    pairs = pairs[np.diff(first.time_s[pairs])[:, 0] > FAR_S]
+    distance, nearest = tree.query(asked)
     is_near = distance < limit
     if min(len(pairs), is_near.sum()) < MIN_PAIRS:
         return
-    rows, others = np.transpose(pairs)
-    scatter = 0.5 * np.mean((commands[rows] - commands[others]) ** 2)
+    scatter = 0.5 * np.mean(np.diff(commands[pairs], axis=1) ** 2)
     if scatter > (MAX_SCATTER * np.std(commands)) ** 2:
         return
     expected = [("", commands[nearest[is_near]])]

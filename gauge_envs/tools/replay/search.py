@@ -16,7 +16,6 @@ from gauge_envs.tools.replay.fit import (
     MAX_POLISHED,
     MIN_HOPE,
     NEAR_NOISE,
-    NO_NUMBERS,
     SLOPE_STEP,
     Fit,
     Problem,
@@ -71,43 +70,38 @@ def try_cause(problem: Problem, cause: Cause, base: Fit) -> list[Fit]:
     A cause without starts begins at the present values. The changes of single values are added, as for linear
     residuals.
     """
+    screened = base.training[problem.screening]
 
-    def extended(group: ParameterGroup, numbers: FloatArray) -> Fit:
-        numbers = np.append(base.numbers, numbers)
+    def extended(group: ParameterGroup, number: float) -> Fit:
+        numbers = np.append(base.numbers, np.full(group.size, number))
         return Fit(terms=(*base.terms, (cause, group)), numbers=numbers)
 
-    def change(group: ParameterGroup, numbers: FloatArray) -> FloatArray:
-        return problem.residuals(extended(group, numbers), 2) - screened
+    def change(group: ParameterGroup, number: float) -> FloatArray:
+        return problem.residuals(extended(group, number), 2) - screened
 
-    def fit(
-        group: ParameterGroup, start: float, moved: FloatArray, slopes: FloatArray
-    ) -> Fit:
-        numbers = np.full(group.size, start)
-        return replace(
-            extended(group, numbers),
-            training=screened + moved,
-            slopes=np.concatenate([base.slopes, slopes], axis=-1),
-            reach=np.append(base.reach, numbers * 0.0 + reach[row]),
-        )
-
-    screened = base.training[problem.screening]
-    if not cause.parameters:
-        (group,) = cause.groups
-        row, reach = 0, np.zeros(1)
-        return [fit(group, 0.0, change(group, NO_NUMBERS), base.slopes[..., :0])]
     grid = np.sort(cause.starts or (0.0, SLOPE_STEP))
     singles = groups_of(len(cause.parameters))
     moved = np.zeros((len(grid), *screened.shape, len(singles)))
     for row in np.flatnonzero(grid).tolist():
         for column, group in enumerate(singles):
-            moved[row, ..., column] = change(group, grid[[row]])
+            moved[row, ..., column] = change(group, grid[row])
     slopes, reach = np.gradient(moved, grid, axis=0), np.gradient(grid)
     if not cause.starts:
         grid, reach = np.zeros(1), np.full(1, np.inf)
     fits = []
     for row, group in product(range(len(grid)), cause.groups):
         total = moved[row] @ group.selection.sum(axis=1)
-        fits.append(fit(group, grid[row], total, slopes[row] @ group.selection))
+        if not cause.parameters:
+            total = change(group, 0.0)
+        fit = replace(
+            extended(group, grid[row]),
+            training=screened + total,
+            slopes=np.concatenate(
+                [base.slopes, slopes[row] @ group.selection], axis=-1
+            ),
+            reach=np.append(base.reach, np.full(group.size, reach[row])),
+        )
+        fits.append(fit)
     return fits
 
 
