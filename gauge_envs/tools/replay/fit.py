@@ -166,7 +166,7 @@ class Fit:
     def linearize(self) -> Fit:
         """Return the fit at the optimum of its linear model."""
         if not len(self.numbers):
-            return replace(self, linear_error=np.mean(self.training**2))
+            return replace(self, linear_error=float(np.mean(self.training**2)))
         columns = np.dstack([self.slopes, -self.training])
         # The orthogonal factor changes no residual norm.
         flat = columns.reshape(self.training.size, -1)
