@@ -76,7 +76,7 @@ def _pushed_together(lab: Lab, pushes: Sequence[_Push]) -> Recording:
         piled.update(names[1:] and names)
         force = push.share * MU * push.normal_n * DIRECTION
         force[2] = -push.press * CUBE_KG * G
-        wrenches[names[0]] = np.array([*force, 0.0, 0.0, 0.0])
+        wrenches[names[0]] = [*force, 0.0, 0.0, 0.0]
     contacts = [contact(tuple(wrenches), "ground", friction=MU)]
     if piled:
         contacts.append(contact(tuple(piled), tuple(piled), friction=GLUED))

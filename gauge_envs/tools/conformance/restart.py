@@ -438,9 +438,7 @@ def second_process(lab: Lab) -> Measurement:
         installed = find_backend(name)
     if type(installed) is not type(lab.backend):
         raise UnsupportedError(("no name starts the engine in another process",))
-    scene = lively(lab)
-    with lab.running(scene) as simulation:
-        here = record(simulation, scene, RUN_S)
+    here = lab.rollout(lively(lab), RUN_S)
     with Worker(300.0) as worker:
         there = worker.call(_course, name, lab.settings)
     return repeated(lab, apart(here, there, "in another process"), BITS)
