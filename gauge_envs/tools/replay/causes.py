@@ -264,8 +264,12 @@ def _bodies(setup: Setup) -> list[Cause]:
     return [
         Cause(
             name="gravity or tilt",
-            unit="m/s^2, rad",
-            parameters=["gravity z", "tilt x", "tilt y"],
+            unit="",
+            parameters=[
+                "the world along z [m/s^2]",
+                "the world about x [rad]",
+                "the world about y [rad]",
+            ],
             present=np.array([model.opt.gravity[2], 0.0, 0.0]),
             typical=(1.0, 0.16, 0.16),
             apply=set_gravity,

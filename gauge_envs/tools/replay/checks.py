@@ -371,7 +371,8 @@ def _obeys(log: Log, order: NDArray[np.intp], ratio: FloatArray) -> BoolArray:
 
     If commands change at each sample, velocities may be unlike those between two samples at all of them. The law
     x' = F x + G u over an interval h is x[k + 1] = exp(F h) x[k] + ..., by least squares. Its rows of the positions
-    give q' = dq, or the ratio of another unit.
+    give q' = dq, or the ratio of another unit. A velocity that is the slope with the other sign needs no law: no joint
+    moves against its velocity.
     """
     count = len(order)
     answers = log.command_interval_s < 1.5 * log.interval_s > ANSWER_S
@@ -382,8 +383,9 @@ def _obeys(log: Log, order: NDArray[np.intp], ratio: FloatArray) -> BoolArray:
     given = np.hstack(
         [state[1:-1], command[1:-1], command[:-2], np.ones((len(state) - 2, 1))]
     )
+    is_opposite: BoolArray = np.abs(ratio + 1.0) < SAME_LAW
     if len(given) < 2 * given.shape[1]:
-        return np.zeros(count, bool)
+        return is_opposite
     law = np.linalg.lstsq(given, state[2:], rcond=None)[0]
     left = np.var(state[2:] - given @ law, axis=0) / np.maximum(
         np.var(state, axis=0), 1e-12
@@ -393,8 +395,11 @@ def _obeys(log: Log, order: NDArray[np.intp], ratio: FloatArray) -> BoolArray:
         (vectors * np.log(values + 1e-12j)) @ np.linalg.pinv(vectors) / log.interval_s
     )
     places = count + order
-    agrees = np.abs(slopes.real[range(count), places] * ratio - 1.0) < SAME_LAW
-    return agrees & (left[places] < MAX_LEFT)
+    slope = slopes.real[range(count), places]
+    agrees = (np.abs(slope * ratio - 1.0) < SAME_LAW) & (left[places] < MAX_LEFT)
+    # The law of a servo that rings is off by a third: it must differ from q' = dq as clearly as the ratio does.
+    is_unlike = np.abs(np.log(np.abs([slope, ratio]) + 1e-12)) > np.log(MAX_RATE_RATIO)
+    return is_opposite | (agrees & (is_unlike[0] | ~is_unlike[1]))
 
 
 def _is_loud(log: Log, found: Increments) -> BoolArray:
