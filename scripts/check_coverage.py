@@ -147,7 +147,8 @@ def tables() -> str:
     partners = [
         f"{motion} {shape}"
         for motion in ("fixed", "driven", "dynamic", "hinged")
-        for shape in (*(["Plane"] if motion == "fixed" else []), *SHAPES)
+        for shape in ("Plane", *SHAPES)
+        if any(by_pair[one, f"{motion} {shape}"] for one in SHAPES)
     ]
     pair_rows = [
         [partner, *(_cell(by_pair[shape, partner]) for shape in SHAPES)]
