@@ -47,7 +47,8 @@ LOST_STEP = 1.5
 MAX_RATE_RATIO = 1.5
 """Ratio of velocities and slopes from which on the unit or clock is wrong; motion too fast for the log has less."""
 ANSWER_S = 0.015
-"""Time within which no joint answers a command."""
+BASE_ANSWER_S = 0.03
+"""Times within which no joint and no base answers a command."""
 SAME_LAW = 0.3
 MAX_LEFT = 0.2
 """Relative difference of a ratio and the law of motion, and variance that the law leaves, up to which they agree."""
@@ -366,17 +367,28 @@ def _rate_order(log: Log) -> Iterator[str]:
         yield f"velocities are exchanged ({pairs}): they are put back"
 
 
+def _answers_between(log: Log, answer_s: float) -> bool:
+    """Return whether each sample has another command, which is answered before the next sample.
+
+    Velocities may then be unlike those between the samples at all of them.
+
+    Args:
+        log: The log.
+        answer_s: Time within which no part answers a command.
+    """
+    is_fast = log.command_interval_s < 1.5 * log.interval_s
+    return bool(log.command_kind) and is_fast and log.interval_s > answer_s
+
+
 def _obeys(log: Log, order: NDArray[np.intp], ratio: FloatArray) -> BoolArray:
     """Return whether a linear law of motion agrees with the ratio of velocities and slopes of each joint, shape [J].
 
-    If commands change at each sample, velocities may be unlike those between two samples at all of them. The law
-    x' = F x + G u over an interval h is x[k + 1] = exp(F h) x[k] + ..., by least squares. Its rows of the positions
-    give q' = dq, or the ratio of another unit. A velocity that is the slope with the other sign needs no law: no joint
-    moves against its velocity.
+    All do if no command is answered between two samples. The law x' = F x + G u over an interval h is
+    x[k + 1] = exp(F h) x[k] + ..., by least squares. Its rows of the positions give q' = dq, or the ratio of another
+    unit. A velocity that is the slope with the other sign needs no law: no joint moves against its velocity.
     """
     count = len(order)
-    answers = log.command_interval_s < 1.5 * log.interval_s > ANSWER_S
-    if not (log.command_kind and answers):
+    if not _answers_between(log, ANSWER_S):
         return np.ones(count, bool)
     state = np.hstack([log.position, log.velocity])
     command = log.held_command()
@@ -579,7 +591,8 @@ def _check_base(log: Log) -> Iterator[str]:
             "base_angvel does not show the order of base_quat: it is taken as w x y z; "
             'if it is x y z w, add quaternion = "xyzw" to --map'
         )
-    if (reading.misfit > 1.0).any():
+    is_unlike = (reading.misfit > 1.0).any()
+    if not is_given or (is_unlike and not _answers_between(log, BASE_ANSWER_S)):
         log.base_twist = reading.slope
         if is_given:
             yield "base velocities do not fit the pose: its differences are used"
