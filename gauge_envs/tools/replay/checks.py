@@ -47,8 +47,9 @@ LOST_STEP = 1.5
 MAX_RATE_RATIO = 1.5
 """Ratio of velocities and slopes from which on the unit or clock is wrong; motion too fast for the log has less."""
 ANSWER_S = 0.015
+"""Time within which no joint answers a command."""
 BASE_ANSWER_S = 0.03
-"""Times within which no joint and no base answers a command."""
+"""Time within which no base answers a command, and no joint swings back."""
 SAME_LAW = 0.3
 MAX_LEFT = 0.2
 """Relative difference of a ratio and the law of motion, and variance that the law leaves, up to which they agree."""
@@ -395,7 +396,8 @@ def _obeys(log: Log, order: NDArray[np.intp], ratio: FloatArray) -> BoolArray:
     given = np.hstack(
         [state[1:-1], command[1:-1], command[:-2], np.ones((len(state) - 2, 1))]
     )
-    is_opposite: BoolArray = np.abs(ratio + 1.0) < SAME_LAW
+    swings_back = log.interval_s > BASE_ANSWER_S
+    is_opposite: BoolArray = (np.abs(ratio + 1.0) < SAME_LAW) & (not swings_back)
     if len(given) < 2 * given.shape[1]:
         return is_opposite
     law = np.linalg.lstsq(given, state[2:], rcond=None)[0]
