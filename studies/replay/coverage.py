@@ -16,7 +16,7 @@ from planted import NOISE, OUTSIDE, Robot, chain, record, same, with_cause, with
 
 from gauge_envs.tools.replay import LogMap, read_log
 from gauge_envs.tools.replay.causes import candidates
-from gauge_envs.tools.replay.constants import fit_constants
+from gauge_envs.tools.replay.constants import constant_values, fit_constants
 from gauge_envs.tools.replay.model import Replayer, build_setup, quiet_engine
 
 FITTED = (
@@ -67,18 +67,16 @@ def errors_of(kind: str, seed: int) -> list[float]:
         joints = [joint.name for joint in spec.joints]
         np.savez(file, joints=joints, **record(robot, rng))
         log = read_log(file, joints, LogMap())
-    truth, present = (
-        build_setup(each.model, log, LogMap().control) for each in (planted, plain)
-    )
+    truth, present = (build_setup(each.model, log) for each in (planted, plain))
     truth.scale[:], truth.offset[:] = planted.scale, planted.offset
     # A command acts from the next physics step on.
     truth.delay_s[:] = np.ceil(planted.delay_s / truth.step_s - 1e-6) * truth.step_s
     replayer = Replayer(log, plain.model)
     with quiet_engine():
-        constants = fit_constants([(replayer, present)], [name], ())
+        fit, _ = fit_constants([(replayer, present)], [name], ())
         causes = {each.name: each for each in candidates(replayer, truth)}
     found = []
-    for value in constants.values:
+    for value in constant_values(fit):
         place = [*causes[name].parameters].index(value.parameter.split(" of ")[-1])
         true = causes[name].present[place]
         # Nothing is planted at the other joints: their intervals count too.

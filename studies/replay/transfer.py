@@ -18,7 +18,7 @@ from scipy.optimize import least_squares
 from gauge_envs.tools.replay import read_log
 from gauge_envs.tools.replay.causes import candidates, change_setup
 from gauge_envs.tools.replay.constants import fit_constants
-from gauge_envs.tools.replay.log import ControlMap, FloatArray
+from gauge_envs.tools.replay.log import FloatArray
 from gauge_envs.tools.replay.model import Replayer, Setup, build_setup, load_model
 
 MODEL = Path(__file__).parents[2] / "examples/replay/double_pendulum.xml"
@@ -42,12 +42,12 @@ def read_run(file: Path, folder: Path) -> tuple[Replayer, Setup]:
     }
     np.savez(folder / "log.npz", t=table["time"], joints=JOINTS, **columns)
     model, log = load_model(MODEL), read_log(folder / "log.npz")
-    return Replayer(log, model), build_setup(model, log, ControlMap())
+    return Replayer(log, model), build_setup(model, log)
 
 
 def weighted(run: tuple[Replayer, Setup], setups: list[Setup]) -> list[Setup]:
     """Return setups with the constants that `gauge replay --fit` finds in a run."""
-    fit = fit_constants([run], FITTED, ()).fit
+    fit, _ = fit_constants([run], FITTED, ())
     return [fit.change(setup) for setup in setups]
 
 

@@ -6,6 +6,8 @@ import copy
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
+from operator import attrgetter
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -41,6 +43,11 @@ class ParameterGroup:
 
     label: str
     selection: FloatArray
+
+    @property
+    def size(self) -> int:
+        """Number of numbers, p."""
+        return self.selection.shape[1]
 
 
 def groups_of(count: int, *labels: str) -> list[ParameterGroup]:
@@ -106,10 +113,24 @@ class Cause:
     def lower(self, group: ParameterGroup) -> FloatArray:
         """Return the smallest numbers of a group, shape [p]."""
         if not self.is_positive:
-            return np.full(group.selection.shape[1], -self.far)
+            return np.full(group.size, -self.far)
         smallest = MIN_FACTOR - self.zero / self.scale
         by_number = np.where(group.selection.T > 0.0, smallest, -FAR)
         return by_number.max(axis=1, initial=-FAR)
+
+
+def _field_cause(
+    setup: Setup, path: str, rows: Any, sign: float = 1.0, **fields: Any
+) -> Cause:
+    """Return a cause whose values are elements of a field of a setup, as `model.dof_armature`, times a sign."""
+    field = attrgetter(path)
+
+    def assign(changed: Setup, values: FloatArray) -> None:
+        table = field(changed)
+        table[rows] = np.reshape(sign * values, table[rows].shape)
+
+    fields.setdefault("apply", assign)
+    return Cause(present=sign * field(setup)[rows].ravel(), **fields)
 
 
 def change_setup(setup: Setup, changes: Iterable[tuple[Cause, FloatArray]]) -> Setup:
@@ -173,41 +194,30 @@ def _losses(
     """Return armature, dry friction and damping of the joints."""
     model, dofs = setup.model, replayer.dof
     joint_cause = partial(
-        Cause,
+        _field_cause,
+        setup,
+        rows=dofs,
         parameters=replayer.log.joints,
         groups=groups_of(len(dofs), "all", "each"),
     )
-
-    def set_armature(changed: Setup, values: FloatArray) -> None:
-        changed.model.dof_armature[dofs] = values
-
-    def set_friction(changed: Setup, values: FloatArray) -> None:
-        changed.model.dof_frictionloss[dofs] = values
-
-    def set_damping(changed: Setup, values: FloatArray) -> None:
-        changed.model.dof_damping[dofs] = values
-
     return [
         joint_cause(
+            "model.dof_armature",
             name="armature",
             unit="kg m^2",
-            present=model.dof_armature[dofs],
             typical=0.3 * model.dof_M0[dofs],
-            apply=set_armature,
         ),
         joint_cause(
+            "model.dof_frictionloss",
             name="dry friction",
             unit="N m",
-            present=model.dof_frictionloss[dofs],
             typical=0.1 * load,
-            apply=set_friction,
         ),
         joint_cause(
+            "model.dof_damping",
             name="damping",
             unit="N m s/rad",
-            present=model.dof_damping[dofs],
             typical=0.3 * load / speed,
-            apply=set_damping,
         ),
     ]
 
@@ -215,19 +225,17 @@ def _losses(
 def _stops(replayer: Replayer, setup: Setup) -> Cause:
     """Return the limits of the joints; the fit starts near the extremes of the motion."""
     joints, ids = replayer.log.joints, replayer.joint
-
-    def set_stops(changed: Setup, values: FloatArray) -> None:
-        changed.model.jnt_range[ids] = values.reshape(2, -1).T
-
-    return Cause(
+    lower, upper = [0], [1]
+    return _field_cause(
+        setup,
+        "model.jnt_range",
+        (ids, np.array([lower, upper])),
         name="joint limit",
         unit="rad",
         parameters=[
             f"{joint} {side}" for side in ("lower", "upper") for joint in joints
         ],
-        present=setup.model.jnt_range[ids].T.ravel(),
         typical=0.05,
-        apply=set_stops,
         groups=groups_of(2 * len(ids)),
         is_positive=False,
         starts=(-0.4, 0.4),
@@ -254,9 +262,6 @@ def _bodies(setup: Setup) -> list[Cause]:
         # Another cause may have added a payload.
         changed.model.body_mass[bodies] += values - mass
         changed.model.body_inertia[bodies] = inertia * (values / mass)[:, None]
-
-    def set_centre(changed: Setup, values: FloatArray) -> None:
-        changed.model.body_ipos[bodies] = values.reshape(-1, 3)
 
     def add_payload(changed: Setup, values: FloatArray) -> None:
         changed.model.body_mass[bodies[ends]] += values
@@ -291,13 +296,14 @@ def _bodies(setup: Setup) -> list[Cause]:
             apply=set_mass,
             groups=groups_of(count, "all"),
         ),
-        Cause(
+        _field_cause(
+            setup,
+            "model.body_ipos",
+            bodies,
             name="mass or centre of a link",
             unit="m",
             parameters=[f"{name} {axis}" for name in names for axis in "xyz"],
-            present=model.body_ipos[bodies].ravel(),
             typical=np.repeat(size, 3),
-            apply=set_centre,
             groups=[
                 ParameterGroup("each", columns)
                 for columns in np.split(np.eye(3 * count), count, axis=1)
@@ -326,7 +332,8 @@ def _drives(
     ids, model = replayer.actuator[driven], setup.model
     is_servo = bool(model.actuator_biasprm[ids, 1].any())
     joint_cause = partial(
-        Cause,
+        _field_cause,
+        setup,
         parameters=[replayer.log.joints[joint] for joint in driven],
         groups=groups_of(len(ids), "all", "each"),
     )
@@ -334,54 +341,39 @@ def _drives(
     def set_effort(changed: Setup, values: FloatArray) -> None:
         changed.model.actuator_forcerange[ids] = np.transpose([-values, values])
 
-    def set_scale(changed: Setup, values: FloatArray) -> None:
-        changed.scale[ids] = values
-
-    def set_offset(changed: Setup, values: FloatArray) -> None:
-        changed.offset[ids] = values
-
     def set_stiffness(changed: Setup, values: FloatArray) -> None:
         changed.model.actuator_biasprm[ids, 1] = -values
         changed.model.actuator_gainprm[ids, 0] = values
 
-    def set_damping(changed: Setup, values: FloatArray) -> None:
-        changed.model.actuator_biasprm[ids, 2] = -values
-
-    def set_delay(changed: Setup, values: FloatArray) -> None:
-        changed.delay_s[:] = values
-
     causes = [
         joint_cause(
+            "model.actuator_forcerange",
+            (ids, 1),
             name="effort limit",
             unit="N m",
-            present=model.actuator_forcerange[ids, 1],
             # The torque that the model needs in the log.
             typical=load,
             apply=set_effort,
             starts=(0.15, 0.35, 0.65, 1.0),
             origin=0.0,
         ),
+        joint_cause("scale", ids, name="action scale", typical=MIN_SCALE),
         joint_cause(
-            name="action scale",
-            present=setup.scale[ids],
-            typical=MIN_SCALE,
-            apply=set_scale,
-        ),
-        joint_cause(
+            "offset",
+            ids,
             name="action offset",
             unit="rad" if is_servo else "N m",
-            present=setup.offset[ids],
             typical=0.05 if is_servo else 0.1 * load,
-            apply=set_offset,
             is_positive=False,
         ),
-        Cause(
+        _field_cause(
+            setup,
+            "delay_s",
+            [0],
             name="delay",
             unit="s",
             parameters=["delay"],
-            present=setup.delay_s,
             typical=0.02,
-            apply=set_delay,
             groups=groups_of(1),
             is_positive=False,
             # The error has several minima over the delay.
@@ -392,18 +384,21 @@ def _drives(
     if is_servo:
         causes += [
             joint_cause(
+                "model.actuator_biasprm",
+                (ids, 1),
+                -1.0,
                 name="kp",
                 unit="N m/rad",
-                present=-model.actuator_biasprm[ids, 1],
                 typical=MIN_SCALE,
                 apply=set_stiffness,
             ),
             joint_cause(
+                "model.actuator_biasprm",
+                (ids, 2),
+                -1.0,
                 name="kd",
                 unit="N m s/rad",
-                present=-model.actuator_biasprm[ids, 2],
                 typical=0.3 * load / speed,
-                apply=set_damping,
             ),
         ]
     return causes

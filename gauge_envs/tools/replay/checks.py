@@ -163,13 +163,6 @@ def _check_samples(log: Log) -> Iterator[str]:
             log.keep(~rows)
 
 
-def _largest_bend(path: FloatArray) -> FloatArray:
-    """Return the largest second difference of a path without a jump, shape [J]."""
-    bend = np.abs(np.diff(path, n=2, axis=0))
-    largest: FloatArray = MIN_JUMP + BEND * np.percentile(bend, 90.0, axis=0)
-    return largest
-
-
 def _zero_rows(log: Log) -> BoolArray:
     """Return the rows of zeros between whose neighbours a joint is elsewhere."""
     is_zero = (log.position == 0.0).all(axis=1)
@@ -178,9 +171,10 @@ def _zero_rows(log: Log) -> BoolArray:
         return is_zero & False
     after = np.searchsorted(others, np.arange(len(is_zero)))
     ends = [others[(after + k).clip(0, len(others) - 1)] for k in (-1, 0)]
-    bend = np.abs(log.position[ends[0]] + log.position[ends[1]])
-    is_lost: BoolArray = (bend > _largest_bend(log.position)).any(axis=1)
-    return is_zero & is_lost
+    jump = np.abs(log.position[ends[0]] + log.position[ends[1]])
+    bend = np.abs(np.diff(log.position, n=2, axis=0))
+    largest = MIN_JUMP + BEND * np.percentile(bend, 90.0, axis=0)
+    return is_zero & (jump > largest).any(axis=1)
 
 
 def _spikes(log: Log) -> BoolArray:
@@ -252,7 +246,15 @@ def _check_velocity(log: Log) -> Iterator[str]:
     if log.velocity.shape != log.position.shape:
         half = NOISE_WINDOW // 2
         slope = np.gradient(log.position, log.time_s, axis=0)
-        log.velocity = np.where(_is_regular(log.time_s), _smooth_slope(log), slope)
+        # With equal intervals, polynomials of degree 4 through seven samples have slopes with 0.51 of the noise of a
+        # position over the interval, and central differences 0.71.
+        rise, run = (
+            savgol_filter(each, NOISE_WINDOW, 4, deriv=1, axis=0)
+            for each in (log.position, log.time_s[:, None])
+        )
+        steps = sliding_window_view(np.diff(log.time_s), NOISE_WINDOW - 1)
+        is_even = np.pad(steps.max(axis=1) < 1.2 * steps.min(axis=1), half)
+        log.velocity = np.where(is_even[:, None], rise / run, slope)
         log.velocity_noise = 0.6 * log.position_noise / log.interval_s
         # A polynomial has no slope at its ends.
         log.keep(np.arange(len(slope))[half:-half])
@@ -260,7 +262,8 @@ def _check_velocity(log: Log) -> Iterator[str]:
             "no velocities of all joints: differences of positions are used"
         )
         return
-    yield from _check_rates(log)
+    for check in (_rate_order, _rate_signs, _rate_units, _late_rates):
+        yield from check(log)
     # A motion that is fast for the log has other central differences than velocities.
     spline = CubicSpline(log.time_s, log.position)(log.time_s, 1)
     slopes = np.gradient(log.position, log.time_s, axis=0), spline
@@ -268,25 +271,6 @@ def _check_velocity(log: Log) -> Iterator[str]:
     spread = 1.4826 * np.minimum(*gaps)
     noise = np.hypot(noise_of(log.time_s, log.velocity), 0.2 * spread)
     log.velocity_noise = np.maximum(noise, MIN_RATE_NOISE)
-
-
-def _smooth_slope(log: Log) -> FloatArray:
-    """Return the slopes of polynomials of degree 4 through seven samples, shape [N, J].
-
-    They have 0.51 of the noise of a position over the interval, and central differences 0.71.
-    """
-    slopes = (
-        savgol_filter(each, NOISE_WINDOW, 4, deriv=1, axis=0)
-        for each in (log.position, log.time_s[:, None])
-    )
-    return np.divide(*slopes)
-
-
-def _is_regular(time_s: FloatArray) -> BoolArray:
-    """Return whether a sample is in the middle of seven with equal intervals, shape [N, 1]."""
-    steps = sliding_window_view(np.diff(time_s), NOISE_WINDOW - 1)
-    is_even = steps.max(axis=1) < 1.2 * steps.min(axis=1)
-    return np.pad(is_even, NOISE_WINDOW // 2)[:, None]
 
 
 def _integral(time_s: FloatArray, rates: FloatArray) -> CubicSpline:
@@ -340,12 +324,6 @@ def _increments(
         for path in (position[: len(time_s)], *paths)
     )
     return Increments(moved, turned, np.mean((turned - rough) ** 2, axis=0))
-
-
-def _check_rates(log: Log) -> Iterator[str]:
-    """Bring velocities to the order, signs, unit and row of the positions, where these are clear."""
-    for check in (_rate_order, _rate_signs, _rate_units, _late_rates):
-        yield from check(log)
 
 
 def _rate_order(log: Log) -> Iterator[str]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -11,6 +12,8 @@ import typer
 from gauge_envs.cli import arguments
 from gauge_envs.cli.output import Format, Progress, echo, print_document
 from gauge_envs.errors import ParameterError
+
+scene = partial(arguments.option, arguments.SCENE)
 
 
 def replay(
@@ -24,8 +27,7 @@ def replay(
     ],
     model: Annotated[
         list[Path],
-        arguments.option(
-            arguments.SCENE,
+        scene(
             "The robot: MJCF or URDF. Others, or YAML of mujoco.sysid, are compared with the first.",
             "--model",
             "-m",
@@ -34,16 +36,14 @@ def replay(
     ],
     against: Annotated[
         Path | None,
-        arguments.option(
-            arguments.SCENE,
+        scene(
             "Second log, which is explained; the first says how well the model predicts where it should.",
             metavar="LOG",
         ),
     ] = None,
     map_: Annotated[
         Path | None,
-        arguments.option(
-            arguments.SCENE,
+        scene(
             "Names, signs, units and gains that differ (TOML).",
             "--map",
             metavar="FILE",
@@ -51,30 +51,25 @@ def replay(
     ] = None,
     policy_file: Annotated[
         Path | None,
-        arguments.option(
-            arguments.SCENE,
+        scene(
             "The policy that drove the robot: ONNX or TorchScript.",
             metavar="FILE",
         ),
     ] = None,
     fit: Annotated[
         str,
-        arguments.option(
-            arguments.SCENE,
+        scene(
             "Constants to fit, as armature,frictionloss,damping,kp,kd,delay.",
             metavar="NAMES",
         ),
     ] = "",
     joint: Annotated[
         str,
-        arguments.option(
-            arguments.SCENE, "Joints whose constants are fitted.", metavar="NAMES"
-        ),
+        scene("Joints whose constants are fitted.", metavar="NAMES"),
     ] = "",
     test: Annotated[
         list[Path] | None,
-        arguments.option(
-            arguments.SCENE,
+        scene(
             "Log that judges the fit without being fitted.",
             metavar="LOG",
         ),

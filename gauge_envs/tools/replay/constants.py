@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +15,8 @@ from gauge_envs.pages.document import Document, Paragraph, Tone
 from gauge_envs.pages.table import Column, Table
 from gauge_envs.tools.replay.causes import Cause, ParameterGroup, candidates
 from gauge_envs.tools.replay.fit import (
-    THRESHOLDS,
+    VALUE_COUNT,
+    VALUE_S,
     Fit,
     Problem,
     all_halves,
@@ -28,29 +29,17 @@ from gauge_envs.tools.replay.judge import (
     judge_setups,
     load_setups,
 )
-from gauge_envs.tools.replay.log import FloatArray, LogMap
-from gauge_envs.tools.replay.model import Replayer, Setup, quiet_engine, uses_degrees
+from gauge_envs.tools.replay.log import LogMap
+from gauge_envs.tools.replay.model import Replayer, Setup, quiet_engine
 from gauge_envs.tools.replay.paste import Change
 from gauge_envs.tools.replay.report import fitted_values
 from gauge_envs.tools.replay.schema import ConstantsLine, Value
 
+MAX_WIDTH = 2.0
+"""Half of the 95 % interval of a constant, over its value or the typical one, up to which the logs determine it: with
+a standard error above its value, it predicts worse than the present value."""
 ATTRIBUTES = {"frictionloss": "dry friction", "kv": "kd", "forcerange": "effort limit"}
 """Causes by the name of their attribute in MJCF."""
-
-
-@dataclass(frozen=True)
-class Constants:
-    """Constants that were fitted.
-
-    Attributes:
-        fit: The fit, with the numbers that the logs determine.
-        values: Them, and the present values of the others.
-        unknown: Numbers that the logs do not determine.
-    """
-
-    fit: Fit
-    values: Sequence[Value]
-    unknown: Sequence[str]
 
 
 def fit_logs(
@@ -79,30 +68,29 @@ def fit_logs(
     """
     with quiet_engine():
         pairs = load_setups(logs, model, mapped)
-        found = fit_constants(pairs, names, joints)
+        fit, unknown = fit_constants(pairs, names, joints)
         present = load_setups(tests or logs, model, mapped)
-        fitted = [(each, found.fit.change(setup)) for each, setup in present]
+        fitted = [(each, fit.change(setup)) for each, setup in present]
         judged = judge_setups([model.name, "fitted"], [present, fitted])
         change = Change(
             before=pairs[0][1],
-            after=found.fit.shown_setup(pairs[0][1]),
+            after=fit.shown_setup(pairs[0][1]),
             replayer=pairs[0][0],
-            in_degrees=uses_degrees(model),
+            file=model,
             given=mapped,
         )
+        values = constant_values(fit)
         if write is not None and write.suffix in YAML:
-            write_whole(write, parameter_dict(found.values))
+            write_whole(write, parameter_dict(values))
         elif write is not None:
-            change.write(model, write)
-    return ConstantsLine(
-        tuple(found.values), tuple(found.unknown), tuple(judged), change.lines()
-    )
+            change.write(write)
+    return ConstantsLine(tuple(values), tuple(unknown), tuple(judged), change.lines())
 
 
 def fit_constants(
     pairs: Sequence[tuple[Replayer, Setup]], names: Sequence[str], joints: Sequence[str]
-) -> Constants:
-    """Return constants of joints that make the predictions of all logs best, by least squares.
+) -> tuple[Fit, list[str]]:
+    """Return a fit of constants that makes the predictions of all logs best, and constants that these do not determine.
 
     Of each joint, the number whose interval is widest,
     and far wider than its value, keeps the present value, and the others are fitted again.
@@ -117,23 +105,23 @@ def fit_constants(
     """
     problems = []
     for replayer, setup in pairs:
-        piece_s = min(THRESHOLDS.value_s, 0.25 * replayer.longest_s())
-        count = THRESHOLDS.value_count
+        piece_s = min(VALUE_S, 0.25 * replayer.longest_s())
+        count = VALUE_COUNT
         problems.append(Problem(replayer, setup, piece_s=piece_s, count=count))
     terms = _terms(problems[0], names, joints)
     unknown: list[str] = []
     while True:
-        fit = Fit(
-            terms=tuple(terms),
-            numbers=np.concatenate([_start(*term) for term in terms]),
-            training=np.zeros(0),
-            slopes=np.zeros(0),
-        )
+        start = []
+        for cause, group in terms:
+            present = (cause.present - cause.zero) / cause.scale
+            lower = cause.lower(group)
+            start.append(np.clip(group.selection.T @ present, lower, cause.far))
+        fit = Fit(terms=tuple(terms), numbers=np.concatenate(start))
         numbers = least_residuals(fit, all_halves(problems)).x
         fit = fit_values(replace(fit, numbers=numbers), problems)
         lost = _undetermined(fit)
         if not lost:
-            return Constants(fit, _values(fit), unknown)
+            return fit, unknown
         unknown += [f"{cause} of {parameter}" for parameter, cause in lost.items()]
         terms = []
         for cause, group in fit.terms:
@@ -143,7 +131,7 @@ def fit_constants(
                 selection = group.selection[:, kept]
                 terms.append((cause, ParameterGroup(group.label, selection)))
         if not terms:
-            return Constants(problems[0].before, (), unknown)
+            return problems[0].before, unknown
 
 
 def _undetermined(fit: Fit) -> dict[str, str]:
@@ -153,7 +141,7 @@ def _undetermined(fit: Fit) -> dict[str, str]:
         width = (high - fitted) / np.maximum(np.abs(fitted), cause.scale)
         for row in np.argmax(group.selection, axis=0).tolist():
             parameter, found = cause.parameters[row], (width[row], cause.name)
-            if width[row] > THRESHOLDS.max_width:
+            if width[row] > MAX_WIDTH:
                 widest[parameter] = max(widest.get(parameter, found), found)
     return {parameter: cause for parameter, (_width, cause) in widest.items()}
 
@@ -189,14 +177,7 @@ def _terms(
     return terms
 
 
-def _start(cause: Cause, group: ParameterGroup) -> FloatArray:
-    """Return the numbers of the present values, inside of the bounds, shape [p]."""
-    numbers = (cause.present - cause.zero) / cause.scale
-    lower = cause.lower(group)
-    return np.clip(group.selection.T @ numbers, lower, cause.far)
-
-
-def _values(fit: Fit) -> list[Value]:
+def constant_values(fit: Fit) -> list[Value]:
     """Return the fitted values, whose names contain the cause."""
     return [
         replace(value, parameter=f"{interval.cause.name} of {value.parameter}")

@@ -54,12 +54,12 @@ def find_conventions(
     log = read(mapped)
     if not log.is_usable:
         return mapped, texts
-    best, gain = misfits(log, model, mapped)
+    best, gain = misfits(log, model)
     for _ in range(1 + len(log.joints)):
         found = []
         for text, changed in _conventions(log, model, mapped, gain):
             try:
-                trial, _ = misfits(read(changed), model, changed)
+                trial, _ = misfits(read(changed), model)
             except GaugeError:
                 continue
             less = best - trial
@@ -71,16 +71,14 @@ def find_conventions(
         # Of equal ones the first is the usual one.
         _, text, mapped = next(row for row in found if row[0] < least + EQUAL)
         texts.append(text)
-        best, gain = misfits(read(mapped), model, mapped)
+        best, gain = misfits(read(mapped), model)
     return mapped, texts
 
 
-def misfits(
-    log: Log, model: mujoco.MjModel, mapped: LogMap
-) -> tuple[FloatArray, FloatArray]:
+def misfits(log: Log, model: mujoco.MjModel) -> tuple[FloatArray, FloatArray]:
     """Return the misfit of short predictions, and how much of it is above 1.5 times the noise, shape [D]."""
     replayer = Replayer(log, model)
-    setup = build_setup(model, log, mapped.control)
+    setup = build_setup(model, log)
     horizon_s = max(HORIZON_S, MIN_SAMPLES * log.interval_s)
     pieces = replayer.pieces(horizon_s, PIECES, MIN_SAMPLES)
     misfit = replayer.misfit(setup, pieces)

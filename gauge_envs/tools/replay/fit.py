@@ -1,4 +1,8 @@
-"""Fits of causes: numbers, residuals on pieces of the log that they have seen and have not, and intervals."""
+"""Fits of causes: numbers, residuals on pieces of the log that they have seen and have not, and intervals.
+
+`studies/replay` counts right answers on planted faults with the numbers here and in `search`. An error is a mean
+squared residual over that of the noise: 1 for a right model. The excess is the error minus that of a perfect model.
+"""
 
 from __future__ import annotations
 
@@ -17,111 +21,55 @@ from gauge_envs.tools.replay.model import IntArray, Replayer, Setup
 
 NO_NUMBERS = np.zeros(0)
 
-
-@dataclass(frozen=True, kw_only=True)
-class Thresholds:
-    """What decides which causes are fitted, and which are named.
-
-    `studies/replay` counts right answers with these numbers on planted faults. An error is a mean squared residual over
-    that of the noise: 1 for a right model. The excess is the error minus that of a perfect model.
-
-    Attributes:
-        piece_s: Length of the predictions that are fitted first [s].
-        piece_count: Number of these pieces; every other one is held out.
-        screening_count: Number of the fitted pieces that screen the causes, from small to large errors.
-        screening_dofs: Degrees of freedom up to which all of them do.
-        value_s, value_count: Length and number of the pieces that give the values of the fit that is named, or of
-            constants.
-        long_count: Number of the long pieces by which the best fits are judged.
-        max_long_s: Length of the longest of them.
-        max_noise_error: Error below which nothing is left to explain.
-        max_misfit: Logarithm of the error over that of constant velocity or no motion, below which a model is no worse.
-        odd_error: Error of a piece over the median one from which on it is odd.
-        max_odd: Largest fraction of the pieces that are left out as odd.
-        min_share: Smallest share of the excess that a named cause explains, near the noise.
-        min_claim: The same farther from the noise: a cause outside of the list often looks like one of it by 98 %.
-        min_part: Smallest share of a cause that is named in part.
-        about_as_good: Excess of losses and armature over the smallest one, up to which they are preferred.
-        max_excess: Largest excess of a named cause, unless it leads.
-        min_lead: Excess of every other cause over that of a cause that leads.
-        max_excess_of_several: Largest excess of several causes that are named.
-        max_ratio_of_several: Largest excess of several causes that are named, over that of the best single cause.
-        enough_share: Share of one cause above which a second one is fitted only above `max_excess_of_several`.
-        equal_gap: Difference of errors over the excess of the model, up to which causes are equal in each piece.
-        min_share_of_equal: Smallest share of a cause that the log cannot tell from the best one, over that of this one.
-        significance: Probability of a signed-rank test below which a cause is worse than the best one.
-        max_growth: Largest excess of a fit on longer pieces, over that on short ones; and of a cause that the log
-            cannot tell from the best one, over that of this one.
-        min_seen: Smallest error of the model on longer pieces, over that on short ones.
-        min_lead_of_convention: Difference of misfits [nat] from which on causes explain a log better than another
-            convention.
-        min_correlation: Correlation of the commands from which on a second log is a repeat of the first.
-        max_width: Half of the 95 % interval of a constant, over its value or the typical one, up to which the logs
-            determine it: with a standard error above its value, it predicts worse than the present value.
-        near_noise: Excess up to which no second cause is fitted, and a fit counts as one that reached the noise.
-        number_cost: Part of the error that one more number of a fit must remove.
-        max_groups: Number of groups of each cause that are fitted.
-        max_refined: Number of fits of one cause, and of two, that are refined.
-        max_worse: Largest linear error of a fit that is refined, over that of a fit that reached the noise.
-        max_polished: Number of the best fits that get measured slopes and intervals.
-        max_bases: Number of fits of one cause to which a second one is added.
-        min_hope: Share below which a fit is not judged by longer pieces, and no further base is tried for pairs.
-        min_second: Relative decrease of the error that a cause must bring alone to be fitted as a second one.
-        max_predictions: Largest number of predictions of one least-squares fit.
-        max_steps: Number of physics steps that the noise of long pieces may cost; that of the pieces that give values
-            may cost twice as many. Above, the pieces are shorter.
-        min_gain: Relative decrease of the training error below which least squares ends.
-        min_step: Relative step of the numbers below which least squares ends.
-        slope_step: Step of finite differences. Contacts make the residuals rough, and smaller steps measure that
-            roughness.
-    """
-
-    piece_s: float = 0.25
-    piece_count: int = 28
-    screening_count: int = 4
-    screening_dofs: int = 3
-    value_s: float = 1.0
-    value_count: int = 20
-    long_count: int = 4
-    max_long_s: float = 3.0
-    max_noise_error: float = 1.3
-    max_misfit: float = 0.4
-    odd_error: float = 25.0
-    max_odd: float = 0.1
-    min_share: float = 0.9
-    min_claim: float = 0.995
-    min_part: float = 0.85
-    about_as_good: float = 1.5
-    max_excess: float = 8.0
-    min_lead: float = 5.0
-    max_excess_of_several: float = 2.0
-    max_ratio_of_several: float = 0.4
-    enough_share: float = 0.99
-    equal_gap: float = 1e-3
-    min_share_of_equal: float = 0.5
-    significance: float = 0.05
-    max_growth: float = 2.0
-    min_seen: float = 0.5
-    min_lead_of_convention: float = 0.5
-    min_correlation: float = 0.99
-    max_width: float = 2.0
-    near_noise: float = 0.5
-    number_cost: float = 0.01
-    max_groups: int = 3
-    max_refined: int = 10
-    max_worse: float = 4.0
-    max_polished: int = 3
-    max_bases: int = 2
-    min_hope: float = 0.5
-    min_second: float = 0.02
-    max_predictions: int = 20
-    max_steps: int = 130_000
-    min_gain: float = 0.002
-    min_step: float = 1e-3
-    slope_step: float = 0.1
+PIECE_S = 0.25
+"""Length of the predictions that are fitted first [s]."""
+PIECE_COUNT = 28
+"""Number of these pieces; every other one is held out."""
+SCREENING_COUNT = 4
+"""Number of the fitted pieces that screen the causes, from small to large errors."""
+SCREENING_DOFS = 3
+"""Degrees of freedom up to which all of them do."""
+VALUE_S = 1.0
+VALUE_COUNT = 20
+"""Length and number of the pieces that give the values of the fit that is named, or of constants."""
+LONG_COUNT = 4
+"""Number of the long pieces by which the best fits are judged."""
+MAX_LONG_S = 3.0
+"""Length of the longest of them."""
+ODD_ERROR = 25.0
+"""Error of a piece over the median one from which on it is odd."""
+MAX_ODD = 0.1
+"""Largest fraction of the pieces that are left out as odd."""
+MAX_EXCESS_OF_SEVERAL = 2.0
+"""Largest excess of several causes that are named."""
+MAX_GROWTH = 2.0
+"""Largest excess of a fit on longer pieces, over that on short ones; and of a cause that the log cannot tell from the
+best one, over that of this one."""
+MIN_SEEN = 0.5
+"""Smallest error of the model on longer pieces, over that on short ones."""
+NEAR_NOISE = 0.5
+"""Excess up to which no second cause is fitted, and a fit counts as one that reached the noise."""
+NUMBER_COST = 0.01
+"""Part of the error that one more number of a fit must remove."""
+MAX_POLISHED = 3
+"""Number of the best fits that get measured slopes and intervals."""
+MIN_HOPE = 0.5
+"""Share below which a fit is not judged by longer pieces, and no further base is tried for pairs."""
+MAX_PREDICTIONS = 20
+"""Largest number of predictions of one least-squares fit."""
+MAX_STEPS = 130_000
+"""Number of physics steps that the noise of long pieces may cost; that of the pieces that give values may cost twice
+as many. Above, the pieces are shorter."""
+MIN_GAIN = 0.002
+"""Relative decrease of the training error below which least squares ends."""
+MIN_STEP = 1e-3
+"""Relative step of the numbers below which least squares ends."""
+SLOPE_STEP = 0.1
+"""Step of finite differences. Contacts make the residuals rough, and smaller steps measure that roughness."""
 
 
-THRESHOLDS = Thresholds()
+def _no_numbers() -> FloatArray:
+    return NO_NUMBERS
 
 
 class Interval(NamedTuple):
@@ -145,20 +93,18 @@ class Fit:
             `Problem.predict`.
         slopes: Change per number on the pieces that screen, shape [R, T D, p].
         reach: How far the linear model of the residuals is used, shape [p].
-        step: Change of the numbers to the optimum of the linear model, shape [p].
-        linear_error: Mean squared training error there.
+        linear_error: Mean squared training error at the optimum of the linear model.
         held_out: Residuals of the other pieces; empty before `Problem.predict`.
         half_width: Half of the 95 % interval of each number, where it was computed.
     """
 
     terms: tuple[tuple[Cause, ParameterGroup], ...] = ()
-    numbers: FloatArray = field(default_factory=lambda: NO_NUMBERS)
-    training: FloatArray
-    slopes: FloatArray
-    reach: FloatArray = field(default_factory=lambda: NO_NUMBERS)
-    step: FloatArray = field(default_factory=lambda: NO_NUMBERS)
+    numbers: FloatArray = field(default_factory=_no_numbers)
+    training: FloatArray = field(default_factory=_no_numbers)
+    slopes: FloatArray = field(default_factory=_no_numbers)
+    reach: FloatArray = field(default_factory=_no_numbers)
     linear_error: float = np.inf
-    held_out: FloatArray = field(default_factory=lambda: NO_NUMBERS)
+    held_out: FloatArray = field(default_factory=_no_numbers)
     half_width: FloatArray | None = None
 
     @property
@@ -179,38 +125,22 @@ class Fit:
         return self.linear_error
 
     @property
-    def training_error(self) -> float:
-        """Mean squared training error."""
-        return float(np.mean(self.training**2))
+    def room(self) -> tuple[FloatArray, FloatArray]:
+        """Largest change of each number down and up, shape [p].
 
-    @property
-    def lower(self) -> FloatArray:
-        """Smallest numbers, shape [p]."""
+        A present value may be below the smallest one that is fitted, as no friction.
+        """
         smallest = [cause.lower(group) for cause, group in self.terms]
-        return np.concatenate([NO_NUMBERS, *smallest])
-
-    @property
-    def upper(self) -> FloatArray:
-        """Largest numbers, shape [p]."""
-        largest = [
-            np.full(group.selection.shape[1], cause.far) for cause, group in self.terms
-        ]
-        return np.concatenate([NO_NUMBERS, *largest])
-
-    def split(
-        self, numbers: FloatArray
-    ) -> Iterator[tuple[tuple[Cause, ParameterGroup], FloatArray]]:
-        """Return each term with its numbers."""
-        sizes = [group.selection.shape[1] for _, group in self.terms]
-        parts = np.split(numbers, np.cumsum(sizes)[:-1])
-        return zip(self.terms, parts, strict=False)
+        largest = [np.full(group.size, cause.far) for cause, group in self.terms]
+        lower, upper = (
+            np.concatenate([NO_NUMBERS, *each]) - self.numbers
+            for each in (smallest, largest)
+        )
+        return np.minimum(lower, 0.0), np.maximum(upper, 1e-9)
 
     def change(self, setup: Setup) -> Setup:
         """Return a setup with the values of the fit."""
-        changes = [
-            (cause, cause.values(group, numbers))
-            for (cause, group), numbers in self.split(self.numbers)
-        ]
+        changes = [(each.cause, each.fitted) for each in self.intervals()]
         return change_setup(setup, changes)
 
     def shown_setup(self, setup: Setup) -> Setup:
@@ -225,25 +155,28 @@ class Fit:
     def intervals(self) -> Iterator[Interval]:
         """Yield the values of each cause, with their 95 % intervals."""
         half = np.nan * self.numbers if self.half_width is None else self.half_width
-        trials = (self.numbers, self.numbers - half, self.numbers + half)
-        for terms in zip(*map(self.split, trials), strict=True):
-            cause, group = terms[0][0]
-            fitted, low, high = (cause.values(group, numbers) for _, numbers in terms)
+        trials = np.array([self.numbers, self.numbers - half, self.numbers + half])
+        begin = 0
+        for cause, group in self.terms:
+            rows = trials[:, begin : begin + group.size]
+            begin += group.size
+            fitted, low, high = (cause.values(group, numbers) for numbers in rows)
             yield Interval(cause, group, fitted, low, high)
 
     def linearize(self) -> Fit:
-        """Return the fit with the step to the optimum of its linear model."""
+        """Return the fit at the optimum of its linear model."""
         if not len(self.numbers):
-            return replace(self, linear_error=self.training_error)
+            return replace(self, linear_error=float(np.mean(self.training**2)))
         columns = np.dstack([self.slopes, -self.training])
         # The orthogonal factor changes no residual norm.
         flat = columns.reshape(self.training.size, -1)
         triangle = np.asarray(np.linalg.qr(flat, mode="r"))
-        lower = np.clip(self.lower - self.numbers, -self.reach, 0.0)
-        upper = np.clip(self.upper - self.numbers, 1e-9, self.reach)
-        solution = lsq_linear(triangle[:, :-1], triangle[:, -1], (lower, upper))
+        lower, upper = self.room
+        bounds = np.maximum(lower, -self.reach), np.minimum(upper, self.reach)
+        solution = lsq_linear(triangle[:, :-1], triangle[:, -1], bounds)
         linear_error = 2.0 * solution.cost / self.training.size
-        return replace(self, step=solution.x, linear_error=linear_error)
+        numbers = self.numbers + solution.x
+        return replace(self, numbers=numbers, linear_error=linear_error)
 
 
 class Problem:
@@ -260,6 +193,7 @@ class Problem:
         pieces: Samples of all pieces, shape [P, 1 + T].
         whiteners: What makes the deviations of each half independent, shape [P, T D, T D].
         before: The model as it is.
+        screening: Which of the fitted pieces screen the causes, shape [R].
     """
 
     def __init__(
@@ -268,8 +202,8 @@ class Problem:
         setup: Setup,
         *,
         noisy: Setup | None = None,
-        piece_s: float = THRESHOLDS.piece_s,
-        count: int = THRESHOLDS.piece_count,
+        piece_s: float = PIECE_S,
+        count: int = PIECE_COUNT,
         floor: float = 1.0,
     ) -> None:
         self.replayer, self.setup, self.floor = replayer, setup, floor
@@ -280,20 +214,16 @@ class Problem:
             replayer.covariance(noisy or setup, half) for half in self._halves
         ]
         self.whiteners = [_whitener(each) for each in self._covariances]
-        self.before = self.predict(Fit(training=NO_NUMBERS, slopes=NO_NUMBERS))
-        self.screening = self._screening()
+        self.before = self.predict(Fit())
+        errors = np.mean(self.before.training**2, axis=1)
+        fraction = SCREENING_DOFS / len(replayer.dofs)
+        few = max(SCREENING_COUNT, round(fraction * len(errors)))
+        places = np.linspace(0, len(errors) - 1, min(few, len(errors)))
+        self.screening = np.sort(np.argsort(errors)[places.round().astype(int)])
         self._halves.append(self._halves[0][self.screening])
         self.whiteners.append(self.whiteners[0][self.screening])
         no_slopes = np.zeros((*self.whiteners[2].shape[:2], 0))
         self.before = replace(self.before, slopes=no_slopes)
-
-    def _screening(self) -> IntArray:
-        """Return which of the fitted pieces screen the causes, shape [R]."""
-        errors = np.mean(self.before.training**2, axis=1)
-        fraction = THRESHOLDS.screening_dofs / len(self.replayer.dofs)
-        count = max(THRESHOLDS.screening_count, round(fraction * len(errors)))
-        places = np.linspace(0, len(errors) - 1, min(count, len(errors)))
-        return np.sort(np.argsort(errors)[places.round().astype(int)])
 
     def lengthened(self, fit: Fit) -> tuple[Problem, Fit]:
         """Return the problem with the longest pieces that a fit predicts, and with its noise; and the fit there.
@@ -301,27 +231,24 @@ class Problem:
         A cause may change how the noise propagates: feet that slip keep a velocity, and feet that stick lose it. The
         problem itself is returned if the fit predicts no pieces, or if their noise hides the error of the model.
         """
-        if self.share(fit) < THRESHOLDS.min_hope:
+        if self.share(fit) < MIN_HOPE:
             return self, fit
-        noisy, count = fit.change(self.setup), THRESHOLDS.long_count
+        noisy, count = fit.change(self.setup), LONG_COUNT
         length_s = min(
             self.replayer.longest_s() / count,
-            THRESHOLDS.max_long_s,
+            MAX_LONG_S,
             self.max_total_s() / count,
         )
         # The pieces are few: hardly longer ones say less than the many short ones.
-        while length_s > 2.0 * THRESHOLDS.piece_s and self.floor == 1.0:
+        while length_s > 2.0 * PIECE_S and self.floor == 1.0:
             problem = Problem(
                 self.replayer, self.setup, noisy=noisy, piece_s=length_s, count=count
             )
-            is_seen = problem.before.error > THRESHOLDS.min_seen * self.before.error
+            is_seen = problem.before.error > MIN_SEEN * self.before.error
             problem.weight = self.excess(self.before) / problem.excess(problem.before)
             (long,) = problem.judged([fit], [fit.label])
             # A chaotic motion is missed more and more.
-            limit = (
-                THRESHOLDS.max_growth * max(self.excess(fit), 0.0)
-                + THRESHOLDS.near_noise
-            )
+            limit = MAX_GROWTH * max(self.excess(fit), 0.0) + NEAR_NOISE
             if is_seen and problem.excess(long) < limit:
                 return problem, long
             length_s *= 0.5
@@ -329,13 +256,13 @@ class Problem:
 
     def for_values(self, fit: Fit) -> Problem:
         """Return the problem whose pieces give the values of a fit; no longer than those that judge it."""
-        count = THRESHOLDS.value_count
-        length_s = min(THRESHOLDS.value_s, 2.0 * self.max_total_s() / count)
+        count = VALUE_COUNT
+        length_s = min(VALUE_S, 2.0 * self.max_total_s() / count)
         return Problem(
             self.replayer,
             self.setup,
             noisy=fit.change(self.setup),
-            piece_s=min(self.piece_s, max(length_s, THRESHOLDS.piece_s)),
+            piece_s=min(self.piece_s, max(length_s, PIECE_S)),
             count=count,
             floor=self.floor,
         )
@@ -365,7 +292,7 @@ class Problem:
 
     def max_total_s(self) -> float:
         """Return the length of all pieces together whose noise costs `max_steps`."""
-        steps = THRESHOLDS.max_steps / self.replayer.noise_predictions
+        steps = MAX_STEPS / self.replayer.noise_predictions
         return steps * self.setup.step_s
 
     def judged(self, fits: Sequence[Fit], names: Sequence[str]) -> list[Fit]:
@@ -378,24 +305,22 @@ class Problem:
         for index, fit in enumerate(fits):
             judged = self.predict(fit)
             is_rival = fit.label in names
-            is_far = judged.error > self.floor * (1.0 + THRESHOLDS.near_noise)
-            is_few = index < THRESHOLDS.max_polished
+            is_far = judged.error > self.floor * (1.0 + NEAR_NOISE)
+            is_few = index < MAX_POLISHED
             if is_rival and is_few and is_far and len(fit.numbers):
                 again = self.minimize(judged, measure=True)
                 judged = min(judged, again, key=self.cost)
             found.append(judged)
-        return sorted(found, key=self._rank)
 
-    def _rank(self, fit: Fit) -> tuple[float, int, float]:
-        excess = max(self.excess(fit), THRESHOLDS.near_noise)
-        return excess, len(fit.numbers), self.cost(fit)
+        def rank(fit: Fit) -> tuple[float, int, float]:
+            excess = max(self.excess(fit), NEAR_NOISE)
+            return excess, len(fit.numbers), self.cost(fit)
+
+        return sorted(found, key=rank)
 
     def still_equal(self, fits: Sequence[Fit], names: Sequence[str]) -> list[str]:
         """Return the names whose fits on these pieces are as good as the first one."""
-        limit = (
-            THRESHOLDS.max_growth * max(self.excess(fits[0]), 0.0)
-            + THRESHOLDS.max_excess_of_several
-        )
+        limit = MAX_GROWTH * max(self.excess(fits[0]), 0.0) + MAX_EXCESS_OF_SEVERAL
         found = {fit.label: fit for fit in fits[1:]}
         return [
             name for name in names if name in found and self.excess(found[name]) < limit
@@ -407,19 +332,19 @@ class Problem:
         errors = np.concatenate(
             [np.mean(each**2, axis=1) for each in (fit.training, fit.held_out)]
         )
-        is_odd = errors > THRESHOLDS.odd_error * max(np.median(errors), self.floor)
-        return pieces[is_odd & (is_odd.mean() < THRESHOLDS.max_odd)]
+        is_odd = errors > ODD_ERROR * max(np.median(errors), self.floor)
+        return pieces[is_odd & (is_odd.mean() < MAX_ODD)]
 
-    def residuals(self, fit: Fit, numbers: FloatArray, half: int) -> FloatArray:
-        """Return the whitened residuals of a half for numbers, shape [P, T D]: training, held out or screening (2)."""
-        setup = replace(fit, numbers=numbers).change(self.setup)
+    def residuals(self, fit: Fit, half: int) -> FloatArray:
+        """Return the whitened residuals of a half, shape [P, T D]: training, held out or screening (2)."""
+        setup = fit.change(self.setup)
         deviation = self.replayer.predict(setup, self._halves[half])
         columns = deviation.reshape(len(deviation), -1, 1)
         return (self.whiteners[half] @ columns)[..., 0]
 
     def predict(self, fit: Fit) -> Fit:
         """Return a fit with all its residuals."""
-        training, held_out = (self.residuals(fit, fit.numbers, half) for half in (0, 1))
+        training, held_out = (self.residuals(fit, half) for half in (0, 1))
         return replace(fit, training=training, held_out=held_out)
 
     def minimize(self, fit: Fit, *, measure: bool) -> Fit:
@@ -449,7 +374,7 @@ class Problem:
 
     def cost(self, fit: Fit) -> float:
         """Return the error of a fit, and what its numbers must bring."""
-        return fit.error * (1.0 + THRESHOLDS.number_cost * len(fit.numbers))
+        return fit.error * (1.0 + NUMBER_COST * len(fit.numbers))
 
 
 def _whitener(covariance: FloatArray) -> FloatArray:
@@ -469,8 +394,8 @@ def least_residuals(
     latest = NO_NUMBERS, NO_NUMBERS
 
     def residuals(change: FloatArray) -> FloatArray:
-        numbers = fit.numbers + change
-        rows = [problem.residuals(fit, numbers, half) for problem, half in halves]
+        moved = replace(fit, numbers=fit.numbers + change)
+        rows = [problem.residuals(moved, half) for problem, half in halves]
         return np.concatenate([row.ravel() for row in rows])
 
     def remembered(change: FloatArray) -> FloatArray:
@@ -480,9 +405,9 @@ def least_residuals(
         return latest[1]
 
     def measured(change: FloatArray) -> FloatArray:
-        steps = THRESHOLDS.slope_step * np.eye(len(change))
+        steps = SLOPE_STEP * np.eye(len(change))
         moved = [residuals(change + step) - remembered(change) for step in steps]
-        return np.transpose(moved) / THRESHOLDS.slope_step
+        return np.transpose(moved) / SLOPE_STEP
 
     # The first step of least squares is as large as what it begins with, or 1 for zeros: a change, and no number.
     start = np.zeros(len(fit.numbers))
@@ -490,15 +415,11 @@ def least_residuals(
         remembered,
         start,
         measured if slopes is None else lambda _: slopes,
-        # A present value may be below the smallest one that is fitted, as no friction.
-        bounds=(
-            np.minimum(fit.lower - fit.numbers, 0.0),
-            np.maximum(fit.upper - fit.numbers, 1e-9),
-        ),
+        bounds=fit.room,
         method="dogbox",
-        ftol=THRESHOLDS.min_gain,
-        xtol=THRESHOLDS.min_step,
-        max_nfev=THRESHOLDS.max_predictions,
+        ftol=MIN_GAIN,
+        xtol=MIN_STEP,
+        max_nfev=MAX_PREDICTIONS,
     )
     found.x += fit.numbers
     return found

@@ -68,7 +68,7 @@ def load_setups(
     compiled = load_model(model, mapped.control)
     names = joint_names(compiled)
     replayers = [Replayer(read_log(file, names, mapped), compiled) for file in logs]
-    return [(each, law_setups(each, mapped.control)[0]) for each in replayers]
+    return [(each, law_setups(each)[0]) for each in replayers]
 
 
 def with_constants(replayer: Replayer, setup: Setup, file: Path) -> Setup:

@@ -128,11 +128,6 @@ def load_model(file: Path, control: ControlMap | None = None) -> mujoco.MjModel:
         return spec.compile()
 
 
-def uses_degrees(file: Path) -> bool:
-    """Return whether the angles of a model file are in degrees."""
-    return bool(mujoco.MjSpec.from_file(str(file)).compiler.degree)
-
-
 def joint_names(model: mujoco.MjModel) -> tuple[str, ...]:
     """Return the names of the hinges and slides in the order of the model."""
     return tuple(
@@ -142,7 +137,7 @@ def joint_names(model: mujoco.MjModel) -> tuple[str, ...]:
     )
 
 
-def build_setup(model: mujoco.MjModel, log: Log, control: ControlMap) -> Setup:
+def build_setup(model: mujoco.MjModel, log: Log) -> Setup:
     """Return the setup that states what the user gave: the model, the gains and the scale of actions.
 
     Raises:
@@ -150,6 +145,7 @@ def build_setup(model: mujoco.MjModel, log: Log, control: ControlMap) -> Setup:
         ParameterError: The log has position targets, but neither model nor map has a gain for them.
     """
     kind, count, drives = log.command_kind, model.nu, _drives(model)
+    control = log.mapped.control
     setup = Setup(
         model=copy.copy(model),
         command_time_s=log.command_time_s,
@@ -161,7 +157,6 @@ def build_setup(model: mujoco.MjModel, log: Log, control: ControlMap) -> Setup:
         zero=np.zeros(len(log.joints)),
     )
     _use_joint_units(setup.model)
-    home = model.key_qpos[0] if model.nkey else model.qpos0
     for name, command in zip(log.command_names, log.command.T, strict=True):
         if name not in drives:
             known = first_names([*drives])
@@ -184,28 +179,22 @@ def build_setup(model: mujoco.MjModel, log: Log, control: ControlMap) -> Setup:
             _set_law(drive, given["kp"], given["kd"])
         if kind == "action":
             setup.scale[index] = given["action_scale"]
-        zero, gear = 0.0, 1.0
         if is_angle:
-            pose = given["default_rad"]
-            pose = home[joint.qposadr[0]] if pose is None else pose
+            pose = default_angle(model, log, joint.name)
             setup.offset[index] = pose
-            zero = pose if kind == "target" else 0.0
+            command = command - pose if kind == "target" else command
         elif kind == "ctrl" and not is_motor:
-            gear = model.actuator_gear[index, 0]
-        setup.command[:, index] = command / gear - zero
+            command = command / model.actuator_gear[index, 0]
+        setup.command[:, index] = command
         setup.is_driven[index] = True
     return setup
 
 
-def home_pose(model: mujoco.MjModel, log: Log, control: ControlMap) -> FloatArray:
-    """Return the default pose of the joints of a log, shape [J]: of the map, else the first keyframe or the zero."""
+def default_angle(model: mujoco.MjModel, log: Log, joint: str) -> float:
+    """Return the angle of a joint in the default pose: of the map, else of the first keyframe or the zero."""
+    given: float | None = log.mapped.control.of(joint)["default_rad"]
     home = model.key_qpos[0] if model.nkey else model.qpos0
-    poses = []
-    for name in log.joints:
-        given = control.of(name)["default_rad"]
-        place = model.jnt_qposadr[model.joint(name).id]
-        poses.append(home[place] if given is None else given)
-    return np.array(poses)
+    return home[model.joint(joint).qposadr[0]] if given is None else given
 
 
 def _drives(model: mujoco.MjModel) -> dict[str, int]:
@@ -502,15 +491,15 @@ class Replayer:
         return torques, is_touching
 
 
-def law_setups(replayer: Replayer, control: ControlMap) -> list[Setup]:
+def law_setups(replayer: Replayer) -> list[Setup]:
     """Return the setups that state what the user gave, the one that predicts best first.
 
     A law outside of the model may be computed in the user's own loop, from the state before each step, or inside of
     an implicit integrator.
     """
-    setup = build_setup(replayer.model, replayer.log, control)
+    setup = build_setup(replayer.model, replayer.log)
     euler = mujoco.mjtIntegrator.mjINT_EULER.value
-    if control.kp is None or setup.model.opt.integrator == euler:
+    if replayer.log.mapped.control.kp is None or setup.model.opt.integrator == euler:
         return [setup]
     explicit = copy.deepcopy(setup)
     explicit.model.opt.integrator = euler

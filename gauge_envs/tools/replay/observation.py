@@ -15,10 +15,12 @@ from scipy.spatial.transform import Rotation
 from gauge_envs.errors import FileError
 from gauge_envs.optional import needs_extra
 from gauge_envs.reading import faults_of
-from gauge_envs.tools.replay.log import FloatArray, Log, LogMap, noise_of
+from gauge_envs.tools.replay.log import FloatArray, Log, noise_of
 
 Variants: TypeAlias = list[tuple[str, FloatArray]]
 """The right values of a term, without a text, and the usual wrong ones, shape [N, K]."""
+Term: TypeAlias = tuple[str, str, Variants]
+"""A term of the observation, its number of columns where it cannot be rebuilt, and its variants where it can."""
 Policy: TypeAlias = Callable[[FloatArray], FloatArray]
 
 OF_BASE = ("base_linvel", "base_angvel", "projected_gravity")
@@ -46,51 +48,40 @@ MIN_PAIRS = 30
 
 
 def check_policy(
-    log: Log, mapped: LogMap, home: FloatArray, policy: Policy | None = None
+    log: Log, home: FloatArray, policy: Policy | None = None
 ) -> Iterator[str]:
     """Yield in what observation and action differ from state and command, a sentence each.
 
     Args:
-        log: The log, with base and joints in the terms of the model.
-        mapped: Names the terms of the observation in their order, and their scales.
+        log: The log; its map names the terms of the observation in their order, and their scales.
         home: Default pose of the joints of the log, shape [J].
         policy: Returns the actions to observations.
 
     Raises:
         FileError: The terms do not have the columns of the observation, or cannot be rebuilt.
     """
-    terms = [
-        (name, count)
-        for name, _, count in (text.partition(" ") for text in mapped.observation)
-    ]
-    rebuilt: list[Variants] = [
-        []
-        if count
-        else [
-            (text, mapped.observation_scale.get(term, 1.0) * values)
-            for text, values in _variants(log, term, mapped, home)
-        ]
-        for term, count in terms
-    ]
+    terms: list[Term] = []
+    for named in log.mapped.observation:
+        term, _, count = named.partition(" ")
+        scale = log.mapped.observation_scale.get(term, 1.0)
+        rebuilt = () if count else _variants(log, term, home)
+        terms.append((term, count, [(text, scale * each) for text, each in rebuilt]))
     if log.observation.size and terms:
-        yield from _check_terms(log, terms, rebuilt)
-    yield from _check_action(log, mapped, home)
+        yield from _check_terms(log, terms)
+    yield from _check_action(log, home)
     if policy is not None:
         observations = [("", log.observation)]
         if not log.observation.size:
-            observations = [*_observations(log, terms, rebuilt)]
+            observations = [*_observations(log, terms)]
         actions = [(text, policy(values)) for text, values in observations]
-        for text in _differs(_actions(log, mapped, home), actions):
+        for text in _differs(_actions(log, home), actions):
             yield f"The logged action differs from the policy: {text}."
 
 
-def _check_terms(
-    log: Log, terms: Sequence[tuple[str, str]], rebuilt: Sequence[Variants]
-) -> Iterator[str]:
+def _check_terms(log: Log, terms: Sequence[Term]) -> Iterator[str]:
     """Yield in what each term of the observation differs from the state."""
     widths = [
-        int(count) if count else variants[0][1].shape[1]
-        for (_, count), variants in zip(terms, rebuilt, strict=True)
+        int(count) if count else variants[0][1].shape[1] for _, count, variants in terms
     ]
     if sum(widths) != log.observation.shape[1]:
         reason = (
@@ -98,13 +89,13 @@ def _check_terms(
         )
         raise FileError("--map", "observation", reason)
     seen = np.split(log.observation, np.cumsum(widths)[:-1], axis=1)
-    for (term, _), variants, columns in zip(terms, rebuilt, seen, strict=True):
+    for (term, _, variants), columns in zip(terms, seen, strict=True):
         for text in _differs(columns, variants):
             yield f"The policy sees {term} {text}."
 
 
 def _variants(
-    log: Log, term: str, mapped: LogMap, home: FloatArray
+    log: Log, term: str, home: FloatArray
 ) -> Iterator[tuple[str, FloatArray]]:
     """Yield the variants of a term."""
     turn = Rotation.identity()
@@ -118,7 +109,7 @@ def _variants(
     elif term == "joint_vel":
         yield "", log.velocity
     elif term == "last_action":
-        actions = _actions(log, mapped, home)
+        actions = _actions(log, home)
         yield "", np.roll(actions, 1, axis=0)
         yield "of the present step", actions
     elif term == "projected_gravity":
@@ -150,18 +141,20 @@ def _variants(
         raise FileError("--map", f"observation {term}", reason)
 
 
-def _actions(log: Log, mapped: LogMap, home: FloatArray) -> FloatArray:
+def _actions(log: Log, home: FloatArray) -> FloatArray:
     """Return the actions, which the targets contain where the log has none."""
     if log.action.size or log.command_kind != "target":
         return log.action if log.action.size else log.held_command()
-    return (log.held_command() - home) / _action_scale(log, mapped)
+    return (log.held_command() - home) / _action_scale(log)
 
 
-def _action_scale(log: Log, mapped: LogMap) -> FloatArray:
-    return np.array([mapped.control.of(name)["action_scale"] for name in log.joints])
+def _action_scale(log: Log) -> FloatArray:
+    return np.array(
+        [log.mapped.control.of(name)["action_scale"] for name in log.joints]
+    )
 
 
-def _check_action(log: Log, mapped: LogMap, home: FloatArray) -> Iterator[str]:
+def _check_action(log: Log, home: FloatArray) -> Iterator[str]:
     """Yield in what the targets of a log differ from its actions."""
     target = log.held_command()
     if (
@@ -169,7 +162,7 @@ def _check_action(log: Log, mapped: LogMap, home: FloatArray) -> Iterator[str]:
         or not log.action.shape == target.shape == log.position.shape
     ):
         return
-    moved = _action_scale(log, mapped) * log.action
+    moved = _action_scale(log) * log.action
     variants = [
         ("", moved),
         ("without the default pose", moved - home),
@@ -179,19 +172,15 @@ def _check_action(log: Log, mapped: LogMap, home: FloatArray) -> Iterator[str]:
         yield f"The target is the action {text}."
 
 
-def _observations(
-    log: Log, terms: Sequence[tuple[str, str]], rebuilt: Sequence[Variants]
-) -> Iterator[tuple[str, FloatArray]]:
+def _observations(log: Log, terms: Sequence[Term]) -> Iterator[tuple[str, FloatArray]]:
     """Yield the rebuilt observation, and that with each usual mistake of a term."""
-    for term, count in terms:
+    for term, count, _ in terms:
         if count:
             reason = "it is not in the state of the log; log the observation as obs"
             raise FileError(log.name, f"observation {term}", reason)
-    values = [variants[0][1] for variants in rebuilt]
+    values = [variants[0][1] for _, _, variants in terms]
     yield "", np.hstack(values)
-    for place, ((term, _), (right, *wrong)) in enumerate(
-        zip(terms, rebuilt, strict=True)
-    ):
+    for place, (term, _, (right, *wrong)) in enumerate(terms):
         for text, values[place] in wrong:
             yield f"with {term} {text}", np.hstack(values)
         values[place] = right[1]
@@ -253,22 +242,17 @@ def compare_commands(first: Log, second: Log) -> Iterator[str]:
     ):
         return
     spread = states[0].std(axis=0) + 1e-9
-    tree = KDTree(states[0] / spread)
-    step = np.linalg.norm(np.diff(states[0] / spread, axis=0), axis=1)
+    known, asked = (each / spread for each in states)
+    tree = KDTree(known)
+    step = np.linalg.norm(np.diff(known, axis=0), axis=1)
     limit = 0.5 * float(np.median(step))
-    around = tree.query_ball_point(states[0] / spread, limit)
-    pairs = [
-        (row, other)
-        for row, others in enumerate(around)
-        for other in others
-        if first.time_s[other] - first.time_s[row] > FAR_S
-    ]
-    distance, nearest = tree.query(states[1] / spread)
+    pairs = tree.query_pairs(limit, output_type="ndarray")
+    pairs = pairs[np.diff(first.time_s[pairs])[:, 0] > FAR_S]
+    distance, nearest = tree.query(asked)
     is_near = distance < limit
     if min(len(pairs), is_near.sum()) < MIN_PAIRS:
         return
-    rows, others = np.transpose(pairs)
-    scatter = 0.5 * np.mean((commands[rows] - commands[others]) ** 2)
+    scatter = 0.5 * np.mean(np.diff(commands[pairs], axis=1) ** 2)
     if scatter > (MAX_SCATTER * np.std(commands)) ** 2:
         return
     expected = [("", commands[nearest[is_near]])]
@@ -281,7 +265,7 @@ def _state(log: Log) -> FloatArray:
     terms = [log.position, log.velocity]
     if log.base_pose.size:
         for term in OF_BASE:
-            terms.append(next(_variants(log, term, LogMap(), log.position[0]))[1])
+            terms.append(next(_variants(log, term, log.position[0]))[1])
     return np.hstack(terms)
 
 

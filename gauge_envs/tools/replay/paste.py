@@ -40,14 +40,14 @@ class Change:
     Attributes:
         before, after: The setups.
         replayer: The log.
-        in_degrees: Whether the angles of the file of the model are in degrees.
+        file: The file of the model.
         given: The map that the user gave.
     """
 
     before: Setup
     after: Setup
     replayer: Replayer
-    in_degrees: bool
+    file: Path
     given: LogMap
 
     def lines(self) -> dict[str, str]:
@@ -58,9 +58,12 @@ class Change:
         places = {"map": [*self._map()], "MJCF": [*self._elements()]}
         return {place: "\n".join(lines) for place, lines in places.items() if lines}
 
-    def write(self, model: Path, out: Path) -> None:
+    def _spec(self) -> mujoco.MjSpec:
+        return mujoco.MjSpec.from_file(str(self.file))
+
+    def write(self, out: Path) -> None:
         """Write a model file with the change, except for what stands in the map."""
-        spec = mujoco.MjSpec.from_file(str(model))
+        spec = self._spec()
         changed, after = spec.compile(), self.after.model
         for field in (*JOINT_FIELDS.values(), *BODY_FIELDS.values()):
             rows = self._rows(field)
@@ -98,7 +101,7 @@ class Change:
                 joint = model.joint(row if is_range else model.dof_jntid[row])
                 numbers = getattr(model, field)[row]
                 is_hinge = joint.type[0] == mujoco.mjtJoint.mjJNT_HINGE.value
-                if is_range and is_hinge and self.in_degrees:
+                if is_range and is_hinge and self._spec().compiler.degree:
                     numbers = np.rad2deg(numbers)
                 limited = {"limited": "true"} if is_range else {}
                 values = {"name": joint.name, **limited, attribute: numbers}
@@ -157,13 +160,11 @@ class Change:
     def _commands(self) -> Iterator[tuple[str, dict[str, Any]]]:
         """Yield the joints whose commands change, with their column, scale and offset; a table has those of actions."""
         before, after, log = self.before, self.after, self.replayer.log
-        model, mapped = self.replayer.model, log.mapped
+        mapped, names = log.mapped, self._driven()
         zeros = dict(zip(log.joints, after.zero, strict=True))
-        drives = np.flatnonzero(before.is_driven).tolist()
-        names = {k: model.joint(model.actuator_trnid[k, 0]).name for k in drives}
-        for k in drives:
-            entry, column = mapped.joint(names[k]), after.command[:, k]
-            for sign, other in ((1.0, k), *product((1.0, -1.0), drives)):
+        for k, name in names.items():
+            entry, column = mapped.joint(name), after.command[:, k]
+            for sign, other in ((1.0, k), *product((1.0, -1.0), names)):
                 if np.array_equal(column, sign * before.command[:, other]):
                     break
             else:
@@ -173,7 +174,7 @@ class Change:
                 scale = sign * after.scale[k]
                 pose = before.offset[other] * (log.command_kind == "target")
                 offset = after.offset[k] - scale * pose
-                offset -= zeros.get(names[k], 0.0) * (log.command_kind in ANGLES)
+                offset -= zeros.get(name, 0.0) * (log.command_kind in ANGLES)
             change: dict[str, Any] = {
                 "command_scale": float(_text(scale * entry.command_scale)),
                 "command_offset": float(_text(scale * entry.command_offset + offset)),
@@ -181,15 +182,19 @@ class Change:
             if other != k:
                 change["command"] = mapped.title(names[other], log.command_kind)
             if entry.model_copy(update=change) != entry:
-                yield names[k], change
+                yield name, change
+
+    def _driven(self) -> dict[int, str]:
+        """Return the joints of the actuators that have commands."""
+        model = self.replayer.model
+        driven = np.flatnonzero(self.before.is_driven).tolist()
+        return {k: model.joint(model.actuator_trnid[k, 0]).name for k in driven}
 
     def _control(self) -> dict[str, Any]:
         """Return what changes in the controller outside of the model; a table has all joints."""
-        setups, model = (self.before, self.after), self.replayer.model
-        driven = np.flatnonzero(self.before.is_driven)
-        joints = [model.joint(model.actuator_trnid[k, 0]).name for k in driven]
+        setups, joints = (self.before, self.after), self._driven()
         tables: dict[str, list[Any]] = {}
-        if (model.actuator_biasprm[driven, 1] == 0.0).any():
+        if (self.replayer.model.actuator_biasprm[[*joints], 1] == 0.0).any():
             laws = [-each.model.actuator_biasprm for each in setups]
             tables = {
                 "kp": [law[:, 1] for law in laws],
@@ -203,8 +208,9 @@ class Change:
             control["delay_s"] = float(_text(self.after.delay_s))
         for name, (old, new) in tables.items():
             if (old != new).any():
-                numbers = [float(_text(value)) for value in new[driven]]
-                control[name] = dict(zip(joints, numbers, strict=True))
+                control[name] = {
+                    joint: float(_text(new[k])) for k, joint in joints.items()
+                }
         return control
 
 

@@ -15,17 +15,16 @@ from gauge_envs.pages.document import Document, Paragraph, Part, Tone
 from gauge_envs.pages.table import Column, Table
 from gauge_envs.tools.replay.causes import ZERO, Cause, candidates
 from gauge_envs.tools.replay.conventions import check_base, find_conventions
-from gauge_envs.tools.replay.fit import THRESHOLDS, Fit, Interval, Problem
+from gauge_envs.tools.replay.fit import PIECE_COUNT, Fit, Interval, Problem
 from gauge_envs.tools.replay.log import FloatArray, Log, LogMap
 from gauge_envs.tools.replay.model import (
     UNLIMITED,
     Replayer,
-    home_pose,
+    default_angle,
     joint_names,
     law_setups,
     load_model,
     quiet_engine,
-    uses_degrees,
 )
 from gauge_envs.tools.replay.observation import (
     check_policy,
@@ -47,6 +46,10 @@ from gauge_envs.tools.replay.search import Explanation, explain
 
 HORIZONS_S = {0.0: 200, 0.1: 150, 0.5: 60}
 """Lengths of the predictions of the table, and their number; the first is one interval of the log."""
+MIN_LEAD_OF_CONVENTION = 0.5
+"""Difference of misfits [nat] from which on causes explain a log better than another convention."""
+MIN_CORRELATION = 0.99
+"""Correlation of the commands from which on a second log is a repeat of the first."""
 NOISE_PIECES = 3
 TRIAL_S = 0.5
 MAX_ROWS = 12
@@ -109,30 +112,29 @@ def replay(
     with quiet_engine():
         mapped, mistakes = find_conventions(lambda m: read(m)[-1], compiled, given)
         logs = read(mapped)
-        explanation, misfit = _explain(logs, compiled, mapped, advance)
+        explanation, misfit = _explain(logs, compiled, advance)
         if mistakes and explanation.verdict is not ReplayVerdict.NOISE:
             # A cause may explain as well what another convention does.
             others = read(given)
-            other, misfit_of_other = _explain(others, compiled, given, advance)
-            if misfit > misfit_of_other + THRESHOLDS.min_lead_of_convention:
-                mapped, mistakes = given, []
-                logs, explanation = others, other
-        line = _line(logs, model.name, explanation, mistakes)
-    line = replace(line, policy=_policy_side(logs, compiled, mapped, policy))
-    if line.policy and line.verdict is not ReplayVerdict.LOG:
-        line = replace(line, verdict=ReplayVerdict.POLICY)
-    if [each.cause for each in line.named] == [ZERO]:
-        line = replace(line, verdict=ReplayVerdict.LOG)
+            other, misfit_of_other = _explain(others, compiled, advance)
+            if misfit > misfit_of_other + MIN_LEAD_OF_CONVENTION:
+                logs, explanation, mistakes = others, other, []
+        sentences = _policy_side(logs, compiled, policy)
+        line = _line(logs, model.name, explanation, mistakes, sentences)
     problem = explanation.problem
     named = explanation.change if line.named else None
     change = Change(
         before=problem.setup,
         after=named.shown_setup(problem.setup) if named else problem.setup,
         replayer=problem.replayer,
-        in_degrees=uses_degrees(model),
+        file=model,
         given=given,
     )
-    sentence = _sentence(line, explanation)
+    # The answer: mistakes of the log, what is missing in the model, and what is left.
+    parts = [f"The log is wrong: {text}." for text in line.mistakes]
+    is_read = explanation.verdict is not ReplayVerdict.LOG
+    physics = _physics(line) if is_read else ()
+    sentence = " ".join([*parts, *line.policy, *physics])
     line = replace(line, sentence=sentence, paste=change.lines())
     return ReplayResult(line, problem, explanation.change)
 
@@ -140,19 +142,16 @@ def replay(
 def _explain(
     logs: Sequence[Log],
     model: mujoco.MjModel,
-    mapped: LogMap,
     advance: Callable[[str], None],
 ) -> tuple[Explanation, float]:
     """Return what explains the last log, and the misfit that is left."""
     floor = 1.0
     if len(logs) > 1:
         first = Replayer(logs[0], model)
-        floor = max(
-            1.0, Problem(first, law_setups(first, mapped.control)[0]).before.error
-        )
+        floor = max(1.0, Problem(first, law_setups(first)[0]).before.error)
     replayer = Replayer(logs[-1], model)
     found: list[Explanation] = []
-    for setup in law_setups(replayer, mapped.control):
+    for setup in law_setups(replayer):
         problem = Problem(replayer, setup, floor=floor)
         if not all(log.is_usable for log in logs):
             found.append(Explanation(problem, ReplayVerdict.LOG))
@@ -170,19 +169,23 @@ def _explain(
 
 
 def _policy_side(
-    logs: Sequence[Log], model: mujoco.MjModel, mapped: LogMap, policy: Path | None
+    logs: Sequence[Log], model: mujoco.MjModel, policy: Path | None
 ) -> tuple[str, ...]:
     """Return in what observation and action differ from state and command, a sentence each."""
-    home = home_pose(model, logs[-1], mapped.control)
-    run = load_policy(policy) if policy else None
-    found = [*check_policy(logs[-1], mapped, home, run)]
+    log, run = logs[-1], load_policy(policy) if policy else None
+    home = np.array([default_angle(model, log, joint) for joint in log.joints])
+    found = [*check_policy(log, home, run)]
     if len(logs) > 1 and not found:
         found = [*compare_commands(*logs)]
     return tuple(found)
 
 
 def _line(
-    logs: Sequence[Log], model: str, explanation: Explanation, mistakes: Sequence[str]
+    logs: Sequence[Log],
+    model: str,
+    explanation: Explanation,
+    mistakes: Sequence[str],
+    policy: tuple[str, ...],
 ) -> ExplanationLine:
     """Return the report without its sentence and the lines to paste."""
     problem, several = explanation.problem, explanation.several
@@ -197,42 +200,40 @@ def _line(
             f"{begin_s:.3g} to {end_s:.3g} s are unlike the rest, and left out"
         )
     wrong = (text for each in logs for text in each.mistakes)
+    verdict = explanation.verdict
+    named = together if change is several else alone[:1]
+    if not explanation.change or verdict is ReplayVerdict.NOTHING:
+        named = []
+    if mistakes or [each.cause for each in named] == [ZERO]:
+        verdict = ReplayVerdict.LOG
+    elif policy and verdict is not ReplayVerdict.LOG:
+        verdict = ReplayVerdict.POLICY
     return ExplanationLine(
         log=explained.name,
         baseline=baseline[0].name if baseline else None,
         model=model,
-        verdict=ReplayVerdict.LOG if mistakes else explanation.verdict,
+        verdict=verdict,
         sentence="",
         error_over_noise=1.0 + problem.excess(problem.before),
         error_after=1.0 + problem.excess(change),
         baseline_over_noise=problem.floor if baseline else None,
         findings=tuple(dict.fromkeys(found)),
         mistakes=tuple(dict.fromkeys([*mistakes, *wrong])),
-        policy=(),
+        policy=policy,
         trial=_try_change(problem, change),
         joints=_joint_reports(problem, _repeat(logs[0], explained)),
         candidates=tuple(alone),
         indistinguishable=tuple(explanation.indistinguishable),
-        named=tuple(_named(explanation, alone, together)),
+        named=tuple(named),
         several=tuple(together),
         paste={},
     )
 
 
-def _named(
-    explanation: Explanation, alone: Sequence[Explained], together: Sequence[Explained]
-) -> Sequence[Explained]:
-    """Return the causes that a verdict is about."""
-    if not explanation.change or explanation.verdict is ReplayVerdict.NOTHING:
-        return []
-    is_together = explanation.change is explanation.several
-    return together if is_together else alone[:1]
-
-
 def _try_change(problem: Problem, change: Fit) -> Trial:
     """Return the error of predictions before and after a change, of the joint that is worst before."""
     replayer = problem.replayer
-    pieces = replayer.pieces(TRIAL_S, 2 * THRESHOLDS.piece_count, outputs=1)[1::2]
+    pieces = replayer.pieces(TRIAL_S, 2 * PIECE_COUNT, outputs=1)[1::2]
     setups = problem.setup, change.change(problem.setup)
     before, after = (
         _rms(replayer.predict(each, pieces)[:, 0, replayer.is_joint]) for each in setups
@@ -295,7 +296,7 @@ def _repeat(first: Log, second: Log) -> Sequence[float] | None:
         make_interp_spline(log.command_time_s, log.command, k=1)(time_s).ravel()
         for log in (first, second)
     ]
-    if np.corrcoef(*commands)[0, 1] < THRESHOLDS.min_correlation:
+    if np.corrcoef(*commands)[0, 1] < MIN_CORRELATION:
         return None
     repeated = make_interp_spline(first.time_s, first.position, k=1)(time_s)
     return _rms(repeated - second.position[common]).tolist()
@@ -351,14 +352,6 @@ def _text(cause: Cause, label: str, values: Sequence[Value], step_s: float) -> s
         return f"{name} of {label}: {' to '.join(ends)}{unit}"
     texts = [f"{each.parameter} {each.fitted:.3g}" for each in values]
     return f"{name}: {', '.join(texts)}{unit}"
-
-
-def _sentence(line: ExplanationLine, explanation: Explanation) -> str:
-    """Return the answer: mistakes of the log, what is missing in the model, and what is left."""
-    parts = [f"The log is wrong: {text}." for text in line.mistakes]
-    is_read = explanation.verdict is not ReplayVerdict.LOG
-    physics = _physics(line) if is_read else ()
-    return " ".join([*parts, *line.policy, *physics])
 
 
 def _physics(line: ExplanationLine) -> Iterator[str]:

@@ -8,7 +8,7 @@ from planted_arm import ARM, CART_POLE, SERVO, record
 
 from gauge_envs.tools.replay import ReplayVerdict, read_log, replay
 from gauge_envs.tools.replay.fit import Problem
-from gauge_envs.tools.replay.log import ControlMap
+from gauge_envs.tools.replay.log import ControlMap, LogMap
 from gauge_envs.tools.replay.model import Replayer, build_setup, load_model
 from gauge_envs.tools.replay.report import replay_document
 
@@ -189,12 +189,13 @@ def test_a_motor_with_targets_takes_its_law_from_the_map(tmp_path):
         .replace('kp="20" kv="0.8"', "")
     )
     file.write_text(motors)
-    model, read = load_model(file), read_log(log)
+    model = load_model(file)
     control = ControlMap(
         kp={"shoulder": 40.0, "elbow": 20.0}, kd={"shoulder": 1.5, "elbow": 0.8}
     )
     errors = []
     for each, law in ((servo, ControlMap()), (model, control)):
-        setup = build_setup(each, read, law)
+        read = read_log(log, mapped=LogMap(control=law))
+        setup = build_setup(each, read)
         errors.append(Problem(Replayer(read, setup.model), setup).before.training)
     assert np.allclose(*errors, atol=1e-6)

@@ -105,7 +105,7 @@ def clip(terms, turn, joints):
 )
 def test_a_mistake_of_an_observation_is_named(tmp_path, change, words):
     file, mapped = base_log(tmp_path, change)
-    found = list(check_policy(read_log(file, mapped=mapped), mapped, HOME))
+    found = list(check_policy(read_log(file, mapped=mapped), HOME))
     assert len(found) == bool(words)
     assert words in "".join(found)
 
@@ -155,7 +155,7 @@ def test_the_action_is_that_of_the_policy_file(tmp_path, is_logged, change, word
     np.savez(file, **columns)
     policy = load_policy(tmp_path / "policy.onnx")
     log = read_log(file, mapped=mapped)
-    found = list(check_policy(log, mapped, HOME, policy))
+    found = list(check_policy(log, HOME, policy))
     assert len(found) == bool(words)
     assert words in "".join(found)
 
@@ -199,7 +199,7 @@ def test_a_target_that_is_not_the_action_is_named(tmp_path, change, words):
     np.savez(file, **columns)
     control = ControlMap(action_scale=0.5)
     mapped = mapped.model_copy(update={"command": "target", "control": control})
-    found = list(check_policy(read_log(file, mapped=mapped), mapped, HOME))
+    found = list(check_policy(read_log(file, mapped=mapped), HOME))
     assert len(found) == bool(words)
     assert words in "".join(found)
 
@@ -230,8 +230,9 @@ def test_terms_that_do_not_fit_are_named(tmp_path):
         ([*TERMS, "joint_pos"], "the terms have 14 columns, obs has 12"),
         (["joint_torque"], "no such term"),
     ):
+        log.mapped = LogMap(observation=terms)
         with pytest.raises(FileError, match=words):
-            list(check_policy(log, LogMap(observation=terms), HOME))
+            list(check_policy(log, HOME))
 
 
 def test_the_policy_is_named_where_the_physics_agrees(tmp_path):
