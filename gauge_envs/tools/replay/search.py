@@ -89,7 +89,7 @@ def try_cause(problem: Problem, cause: Cause, base: Fit) -> list[Fit]:
     if not cause.starts:
         grid, reach = np.zeros(1), np.full(1, np.inf)
     fits = []
-    for row, group in product(range(len(grid)), cause.groups):
+    for row, group in product(range(len(grid)), cause.groups or singles):
         total = moved[row] @ group.selection.sum(axis=1)
         if not cause.parameters:
             total = change(group, 0.0)
