@@ -5,7 +5,6 @@ paper does not define two estimators; `scoring/README.md` defines them.
 """
 
 import math
-from collections.abc import Callable
 
 import numpy as np
 from numpy.polynomial import Polynomial
@@ -55,7 +54,7 @@ def event_values(experiment: Experiment, frames: FloatArray) -> dict[str, float]
     baseline = experiment.baselines.get("pd")
     count = len(frames) if baseline is None else baseline.frames
     signal_mm = frames[:count, "xyz".index(experiment.score.period_axis or "x")]
-    functions: dict[str, Callable[[], float]] = {
+    functions = {
         "lsd": lambda: longest_stationary_duration(heights_mm),
         "mte": lambda: momentum_transfer_efficiency(
             heights_mm, drop_height_mm=drop_mm, rest_height_mm=rest_mm

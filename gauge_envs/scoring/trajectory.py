@@ -10,12 +10,7 @@ import numpy as np
 from gauge_envs.errors import ReferenceFileError, ShapeError
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.names import nearest
-from gauge_envs.references.band import (
-    Band,
-    RecordedEvent,
-    band_file,
-    recorded_events,
-)
+from gauge_envs.references.band import Band, RecordedEvent, band_file, recorded_events
 from gauge_envs.references.kind import Kind
 from gauge_envs.references.metrics import METRICS
 from gauge_envs.scene.geometry import FloatArray

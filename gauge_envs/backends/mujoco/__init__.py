@@ -9,10 +9,7 @@ from typing import TYPE_CHECKING, Any
 from gauge_envs.backends.features import Feature
 from gauge_envs.backends.mujoco.fabrics import flex_constants
 from gauge_envs.backends.mujoco.settings import settings_for
-from gauge_envs.backends.mujoco.versions import (
-    without_absent,
-    without_deformables,
-)
+from gauge_envs.backends.mujoco.versions import without_absent, without_deformables
 from gauge_envs.backends.shared.bundled import BundledBackend
 from gauge_envs.backends.simulation import Simulation
 from gauge_envs.errors import UnsupportedSceneError

@@ -210,7 +210,7 @@ def contact_settings(model: mujoco.MjModel, constants: FloatArray) -> dict[str, 
     """
     values = {name: constants[columns].tolist() for name, columns in COLUMNS.items()}
     dimension = int(constants[0])
-    settings: dict[str, Any] = {
+    settings = {
         "contact_solref": values["solref"],
         "contact_solimp": values["solimp"],
     }

@@ -115,7 +115,7 @@ def _impact(contact: Contact, settings: SettingsMuJoCo) -> dict[str, Any]:
     same damping would also reverse the tangential velocity, so friction gets 1/h, which stops it.
     """
     step = settings.timestep_s
-    constants: dict[str, Any] = {
+    constants = {
         "solref": (
             -settings.impact_stiffness / step**2,
             -(1.0 + contact.restitution) / step,

@@ -118,7 +118,7 @@ def build_model(
     _set_options(spec, settings)
     spec.option.gravity = [0.0, 0.0, -scene.gravity_m_per_s2]
 
-    geoms: dict[str, list[mujoco.MjsGeom]] = {}
+    geoms = {}
     for body in scene.bodies:
         geoms[body.name] = _add_body(spec, body, scene.hinges.get(body.name), settings)
     for joint in scene.joints:

@@ -219,7 +219,7 @@ def _preset_name(scene: Scene) -> str:
 
 def _cloth_preset_name(scene: Scene) -> str:
     cloths = {body.name for body in scene.deformables if isinstance(body, Cloth)}
-    bodies: set[str] = set()
+    bodies = set()
     folds = False
     for contact in scene.contacts:
         first, second = {*contact.first}, {*contact.second}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from itertools import compress
 from typing import Any
@@ -208,7 +208,7 @@ class SimulationMuJoCo(PlacedSimulation):
 
     def _step_all(self, count: int) -> None:
         """Step all worlds in threads, of which this thread is the first."""
-        steps: list[Future[None]] = []
+        steps = []
         if self._threads is not None:
             others = range(1, self._thread_count)
             steps = [self._threads.submit(self._step_worlds, n, count) for n in others]

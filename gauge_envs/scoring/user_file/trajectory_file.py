@@ -188,7 +188,7 @@ class _Samples:
 def _read_csv(file: Path, experiment: Experiment) -> _Samples:
     names = [*experiment.coordinates]
     rows: list[list[str]] = []
-    places: list[str] = []
+    places = []
     header: list[str] = []
     with reading(file, TrajectoryFileError, "a CSV file") as content:
         reader = csv.reader(csv_text(content))

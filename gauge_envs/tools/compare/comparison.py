@@ -69,8 +69,8 @@ class Cell:
 
     def interval_95(self, metric: str) -> Interval | None:
         """Return the 95 % interval of the mean normalized metric; None if a repeat with the metric has no interval."""
-        values: list[float] = []
-        intervals: list[Interval] = []
+        values = []
+        intervals = []
         of_results = self.values(metric, normalized=True)
         for value, result in zip(of_results, self.results, strict=True):
             if value is None:
@@ -263,8 +263,8 @@ def compare(
     """
     given = sorted(results, key=lambda result: result.revision)
     newest = {result.id: result.revision for result in given}
-    kept: list[Result] = []
-    older: set[str] = set()
+    kept = []
+    older = set()
     for result in given:
         if result.revision == newest[result.id]:
             kept.append(result)
@@ -278,8 +278,8 @@ def compare(
     constants = [constants_of(configuration) for configuration, _ in groups]
     experiments = []
     for name in sorted(newest, key=_list_position):
-        cells: list[Cell | None] = []
-        deviations: dict[int, Deviations] = {}
+        cells = []
+        deviations = {}
         for index, (_, members) in enumerate(groups):
             repeats = [result for result in members if result.id == name]
             cell = _cell(repeats, notes)

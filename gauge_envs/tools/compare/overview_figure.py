@@ -75,7 +75,7 @@ def draw_overview(
     if metric is not None:
         panels = [metric]
     experiments = []
-    shown: set[str] = set()
+    shown = set()
     for experiment in comparison.experiments:
         scored = [panel for panel in panels if _has_score(experiment, panel)]
         if scored or _has_diverged(experiment):

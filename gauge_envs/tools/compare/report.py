@@ -8,11 +8,7 @@ from typing import Any
 from gauge_envs.errors import UnknownNameError
 from gauge_envs.files import json_ready
 from gauge_envs.pages.document import Document, Paragraph, Part, Tone
-from gauge_envs.pages.results import (
-    SCORE_METRICS,
-    configuration_parts,
-    versions_text,
-)
+from gauge_envs.pages.results import SCORE_METRICS, configuration_parts, versions_text
 from gauge_envs.pages.table import Column, Place, Table
 from gauge_envs.pages.text import (
     KIND_NOTES,
@@ -109,7 +105,7 @@ def comparison_document(
         is_wide: Whether a terminal shows the same as Markdown: all metrics, published engines, and all mean ranks.
         with_rows: Whether the document has JSON rows, which need the distance between each pair of configurations.
     """
-    rows: list[dict[str, Any]] = []
+    rows = []
     if with_rows:
         rows += comparison_rows(comparison, metrics or ALL_METRICS)
         rows += [_kind_row(comparison, kind) for kind in comparison.kinds]

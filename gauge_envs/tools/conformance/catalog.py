@@ -70,15 +70,15 @@ def checks(only: Sequence[str] = ()) -> tuple[Check, ...]:
         return first, check.level is not Level.RIGID, is_later
 
     known = sorted(listed, key=place)
-    ids = [check.id for check in known]
-    chosen: set[str] = set()
+    chosen = []
     for pattern in only or ["*"]:
         matches = [
-            check.id
+            check
             for check in known
             if check.level == pattern or fnmatchcase(check.id, pattern)
         ]
         if not matches:
+            ids = [check.id for check in known]
             raise UnknownNameError("check", pattern, [*Level, *ids])
-        chosen.update(matches)
-    return tuple(check for check in known if check.id in chosen)
+        chosen += matches
+    return tuple(check for check in known if check in chosen)

@@ -29,7 +29,7 @@ from gauge_envs.tools.conformance.model import CheckResult, Status
 ONE_FACTOR = 0.03
 """Largest difference of errors that have one size, over the largest ratio to what is expected."""
 
-FAILURE = re.compile(r"([\w.-]+?)(?:([<>])([\d.]*))?(\??)")
+FAILURE = re.compile(r"([\w.-]+?)(?:([<>])([\d.]*))?(\??)(?:\s+|$)")
 """Check, sign of its error, a bound of its value, and whether it may have measured nothing."""
 
 Rule = Mapping[str, str]
@@ -69,17 +69,17 @@ def likely_causes(results: Sequence[CheckResult]) -> list[str]:
 
 def _names(checks: str) -> list[str]:
     """Return the ids of checks, without signs."""
-    return [FAILURE.fullmatch(check)[1] for check in checks.split()]  # type: ignore[index]
+    return [name for name, *_ in FAILURE.findall(checks)]
 
 
 def _matches(rule: Rule, ran: Results) -> bool:
     passes = rule.get("passes", "")
     equal = _names(rule.get("equal", ""))
     return (
-        all(_fails(ran, check) for check in rule["fails"].split())
+        all(_fails(ran, *failure) for failure in FAILURE.findall(rule["fails"]))
         and all(name in ran for name in _names(passes))
-        and not any(_fails(ran, check) for check in passes.split())
-        and not any(_is_measured(ran, check) for check in rule.get("lacks", "").split())
+        and not any(_fails(ran, *failure) for failure in FAILURE.findall(passes))
+        and not any(_is_measured(ran, name) for name in _names(rule.get("lacks", "")))
         and (
             not equal or _has_one_size([ran[n] for n in equal if _is_measured(ran, n)])
         )
@@ -90,9 +90,8 @@ def _is_measured(ran: Results, name: str) -> bool:
     return name in ran and ran[name].measured is not None
 
 
-def _fails(ran: Results, check: str) -> bool:
+def _fails(ran: Results, name: str, sign: str, bound: str, optional: str) -> bool:
     """Return whether a check fails, with a sign of its error or beyond a bound."""
-    name, sign, bound, optional = FAILURE.fullmatch(check).groups()  # type: ignore[union-attr]
     if optional and not _is_measured(ran, name):
         return True
     result = ran.get(name)
@@ -106,13 +105,14 @@ def _fails(ran: Results, check: str) -> bool:
 
 def _has_one_size(results: Sequence[CheckResult]) -> bool:
     """Return whether the relative errors of two or more checks have one size."""
-    errors = [
-        abs((each.measured or 0.0) - (each.expected or 0.0)) / (each.expected or 1.0)
-        for each in results
-    ]
-    shares = [(each.measured or 0.0) / (each.expected or 1.0) for each in results]
-    is_one = np.ptp(errors) < ONE_FACTOR * np.abs(shares).max() if errors else False
-    return len(errors) > 1 and bool(is_one)
+    if len(results) < 2:
+        return False
+    measured, expected = np.array(
+        [(each.measured, each.expected) for each in results], float
+    ).T
+    scales = np.where(expected, expected, 1.0)
+    errors = np.abs(measured - expected) / scales
+    return bool(np.ptp(errors) < ONE_FACTOR * np.abs(measured / scales).max())
 
 
 def _text(rule: Rule, ran: Results) -> str:

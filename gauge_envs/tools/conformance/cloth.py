@@ -12,13 +12,7 @@ import numpy as np
 
 from gauge_envs.fixtures.parts import contact, driven_box, driver, fixed_box, ramp
 from gauge_envs.fixtures.recording import Recording
-from gauge_envs.scene import (
-    GRAVITY_M_PER_S2 as G,
-    Air,
-    Pose,
-    Region,
-    Scene,
-)
+from gauge_envs.scene import GRAVITY_M_PER_S2 as G, Air, Pose, Region, Scene
 from gauge_envs.scene.fabrics import Fabric
 from gauge_envs.scene.geometry import vector
 from gauge_envs.scoring.estimators import acceleration_m_per_s2, slide_friction
@@ -31,11 +25,12 @@ from gauge_envs.tools.conformance.deformable import (
     REST,
     START,
     STRIKE,
+    Equilibrium,
     also_attached,
     attachment_error,
-    cantilever,
     clamped,
     coefficient,
+    droop,
     equilibrium,
     fabric,
     momentum_ratio,
@@ -105,20 +100,14 @@ def hanging_strip(made_of: Fabric, depth_m: float = 0.0, *, axis: Axis = "x") ->
     return clamped(cloth, region, duration_s=HANG_S)
 
 
-def stretch_stiffness(
-    rollout: Recording,
-    name: str,
-    start_s: float,
-    end_s: float,
-) -> Measurement:
+def stretch_stiffness(hung: Equilibrium) -> Measurement:
     """Measure K_s [N/m] from the sag of a strip, a width or more from its clamp: u = rho g (L s - s^2/2) / K_s."""
-    cloth, depth_m, rest, moved = equilibrium(rollout, name, start_s, end_s)
-    s = 0.5 * HANG_M - rest[:, int(np.argmax(cloth.size_m))]
-    free = s > depth_m + HANG_WIDTH_M - PLACE_TOLERANCE_M
-    slope = coefficient(
-        -moved[free, 2], (HANG_M * s - 0.5 * s**2)[free], np.ones(free.sum())
-    )
-    load = cloth.areal_density_kg_per_m2 * rollout.scene.gravity_m_per_s2
+    cloth = hung.body
+    s = 0.5 * HANG_M - hung.rest_m[:, int(np.argmax(cloth.size_m))]
+    free = s > hung.depth_m + HANG_WIDTH_M - PLACE_TOLERANCE_M
+    columns = ((HANG_M * s - 0.5 * s**2)[free], np.ones(free.sum()))
+    load = cloth.areal_density_kg_per_m2 * hung.gravity_m_per_s2
+    slope = coefficient(-hung.moved_m[free, 2], *columns)
     return stiffness(load, slope, cloth.stretch_stiffness_n_per_m)
 
 
@@ -187,17 +176,14 @@ def upright_sheet(made_of: Fabric) -> Scene:
     return clamped(sheet(made_of, pose, (SPAN_M, HEIGHT_M)), *edges, duration_s=SHEAR_S)
 
 
-def shear_stiffness(
-    rollout: Recording, name: str, start_s: float, end_s: float
-) -> Measurement:
+def shear_stiffness(hung: Equilibrium) -> Measurement:
     """Measure K_sh [N/m] from the sag of an upright sheet at middle height: w = rho g (L s - s^2) / (2 K_sh)."""
-    cloth, _, rest, moved = equilibrium(rollout, name, start_s, end_s)
-    inside = np.abs(rest[:, :2]) - (0.5 * SPAN_M, 0.5 * HEIGHT_M - SPAN_M)
+    inside = np.abs(hung.rest_m[:, :2]) - (0.5 * SPAN_M, 0.5 * HEIGHT_M - SPAN_M)
     free = (inside < (-PLACE_TOLERANCE_M, PLACE_TOLERANCE_M)).all(axis=1)
-    s = 0.5 * SPAN_M + rest[free, 0]
-    slope = coefficient(-moved[free, 2], 0.5 * (SPAN_M * s - s**2))
-    load = cloth.areal_density_kg_per_m2 * rollout.scene.gravity_m_per_s2
-    return stiffness(load, slope, cloth.shear_stiffness_n_per_m)
+    s = 0.5 * SPAN_M + hung.rest_m[free, 0]
+    slope = coefficient(-hung.moved_m[free, 2], 0.5 * (SPAN_M * s - s**2))
+    load = hung.body.areal_density_kg_per_m2 * hung.gravity_m_per_s2
+    return stiffness(load, slope, hung.body.shear_stiffness_n_per_m)
 
 
 @check(
@@ -271,18 +257,16 @@ def cantilever_strip(
     )
 
 
-def bending_stiffness(
-    rollout: Recording,
-    name: str = "cloth",
-    start_s: float | None = None,
-    end_s: float = math.inf,
-) -> Measurement:
+def strip_stiffness(hung: Equilibrium) -> Measurement:
     """Measure the bending stiffness per width [N m] from the droop of a clamped strip: D w'' = rho g (L - s)^2 / 2."""
-    if start_s is None:
-        start_s = BENT_SETTLED_S / BENT_S * rollout.scene.duration_s
-    cloth, slope = cantilever(rollout, name, start_s, end_s)
-    load = cloth.areal_density_kg_per_m2 * rollout.scene.gravity_m_per_s2
-    return stiffness(load, slope, cloth.bend_stiffness_n_m_per_rad)
+    load = hung.body.areal_density_kg_per_m2 * hung.gravity_m_per_s2
+    return stiffness(load, droop(hung), hung.body.bend_stiffness_n_m_per_rad)
+
+
+def bending_stiffness(rollout: Recording) -> Measurement:
+    """Measure the bending stiffness per width [N m] of the strip of `cantilever_strip`."""
+    settled_s = BENT_SETTLED_S / BENT_S * rollout.scene.duration_s
+    return strip_stiffness(equilibrium(rollout, "cloth", settled_s))
 
 
 @check(
@@ -309,7 +293,7 @@ def _cloth_bending(lab: Lab) -> Measurement:
         cantilever_strip(heavy),
     )
     rollout = lab.rollout(side_by_side(scenes, BENT_S - BENT_SETTLED_S))
-    return worst_law(rollout, bending_stiffness, "D", BENT_SETTLED_S, BENT_S)
+    return worst_law(rollout, strip_stiffness, "D", BENT_SETTLED_S, BENT_S)
 
 
 # --- contact ---------------------------------------------------------------------------------------------------------

@@ -20,7 +20,7 @@ from gauge_envs.tools.conformance.cloth import LIGHT_FABRIC, hanging_strip
 from gauge_envs.tools.conformance.free_motion import solids
 from gauge_envs.tools.conformance.lab import Lab, Measurement, largest, ratio
 from gauge_envs.tools.conformance.model import COUNT, Checks, Level, Tolerance
-from gauge_envs.tools.conformance.repeats import BITS, Gap, apart, gaps, repeated
+from gauge_envs.tools.conformance.repeats import BITS, apart, gaps, repeated
 
 check = Checks(Level.RIGID)
 
@@ -106,8 +106,8 @@ def determinism(lab: Lab) -> Measurement:
 
     Source: contract (Backend.build, Simulation.reset).
     """
-    again: list[Gap] = []
-    beside: list[Gap] = []
+    again = []
+    beside = []
     falling = BOUNCE if lab.supports(BOUNCE) else lab.in_any_shape(FREE)
     for scene in (falling, *filter(lab.supports, [STRIP])):
         first = lab.rollout(scene, 0.3)

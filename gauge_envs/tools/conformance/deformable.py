@@ -11,21 +11,14 @@ one cell.
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
-from gauge_envs.fixtures.parts import (
-    box,
-    contact,
-    driven_box,
-    fixed_box,
-    ramp,
-    thrown,
-)
+from gauge_envs.fixtures.parts import box, contact, driven_box, fixed_box, ramp, thrown
 from gauge_envs.fixtures.recording import Recording
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2,
@@ -198,8 +191,8 @@ def side_by_side(scenes: Sequence[Scene], late_s: float) -> Scene:
 MASS_POINTS = 1e5
 
 
-def node_masses_kg(body: Deformable, nodes_m: FloatArray) -> FloatArray:
-    """Return the mass at each node of a uniform body, from its nodes at the start [m], shape [node_count].
+def node_masses_kg(body: Deformable, rest_m: FloatArray) -> FloatArray:
+    """Return the mass at each node of a uniform body, from its nodes at the start in its frame [m], shape [node_count].
 
     It is the mass of the points of the body that are nearest to the node, for any mesh.
     """
@@ -208,8 +201,8 @@ def node_masses_kg(body: Deformable, nodes_m: FloatArray) -> FloatArray:
     shares = (np.arange(count) + 0.5) / count - 0.5
     axes = [shares * edge_m if edge_m else [0.0] for edge_m in size_m]
     points_m = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 3)
-    nearest = cKDTree(body.pose.to_body(nodes_m)).query(points_m)[1]
-    counts = np.bincount(nearest, minlength=len(nodes_m))
+    nearest = cKDTree(rest_m).query(points_m)[1]
+    counts = np.bincount(nearest, minlength=len(rest_m))
     return np.asarray(body.mass_kg * counts / len(points_m))
 
 
@@ -233,42 +226,60 @@ def stiffness(load: float, slope: float, expected: float) -> Measurement:
     return Measurement(measured=measured, expected=expected)
 
 
-Law = Callable[[Recording, str, float, float], Measurement]
-"""Measures a constant of a body, by its name, from its equilibrium between two times [s]."""
+@dataclass(frozen=True)
+class Equilibrium:
+    """A clamped body in equilibrium under its weight.
+
+    Attributes:
+        body: The body.
+        depth_m: Depth of its clamp [m].
+        gravity_m_per_s2: Gravity [m/s^2].
+        rest_m: Its nodes at the start, in its frame [m], shape [node_count, 3].
+        moved_m: Their displacements along the axes of the world, relative to `FRAME` [m], shape [node_count, 3].
+    """
+
+    body: Any
+    depth_m: float
+    gravity_m_per_s2: float
+    rest_m: FloatArray
+    moved_m: FloatArray
+
+
+Law = Callable[[Equilibrium], Measurement]
+"""Measures a constant of a body from its equilibrium."""
 
 
 def equilibrium(
-    rollout: Recording, name: str, start_s: float, end_s: float
-) -> tuple[Any, float, FloatArray, FloatArray]:
-    """Return a body, the depth of its clamp, its nodes at the start in its frame, and their displacements [m].
-
-    The displacements are along the axes of the world, in equilibrium, and relative to `FRAME`.
-    """
+    rollout: Recording, name: str, start_s: float, end_s: float = math.inf
+) -> Equilibrium:
+    """Return the equilibrium of a body between two times [s]."""
     scene = rollout.scene
     (body,) = (soft for soft in scene.deformables if soft.name == name)
     clamps = [link.region for link in scene.attachments if link.deformable == name]
     nodes_m = rollout.nodes_m[name] - rollout.displacement(FRAME.name)[:, None]
     settled_m = hann_mean(nodes_m[rollout.between(start_s, end_s)])
-    rest_m = body.pose.to_body(nodes_m[0])
-    return body, clamps[0].depth_m, rest_m, settled_m - nodes_m[0]
+    return Equilibrium(
+        body,
+        clamps[0].depth_m,
+        scene.gravity_m_per_s2,
+        body.pose.to_body(nodes_m[0]),
+        settled_m - nodes_m[0],
+    )
 
 
-def cantilever(
-    rollout: Recording, name: str, start_s: float, end_s: float
-) -> tuple[Any, float]:
-    """Return a clamped level body, and its weight per length over its stiffness [1/m^3]: D w'' = load (L - s)^2 / 2.
+def droop(hung: Equilibrium) -> float:
+    """Return the weight per length of a clamped level body over its stiffness [1/m^3]: D w'' = load (L - s)^2 / 2.
 
     The fit also determines the place and the slope of the clamp.
     """
-    body, depth_m, rest_m, moved_m = equilibrium(rollout, name, start_s, end_s)
-    size_m = extent_m(body)
-    s_m = rest_m[:, size_m.argmax()] + 0.5 * size_m.max() - depth_m
+    size_m = extent_m(hung.body)
+    s_m = hung.rest_m[:, size_m.argmax()] + 0.5 * size_m.max() - hung.depth_m
     free = s_m > -PLACE_TOLERANCE_M
-    s, free_m = s_m[free], size_m.max() - depth_m
+    s, free_m = s_m[free], size_m.max() - hung.depth_m
     # Nodes are weighted by mass, like the load, since a mesh's diagonals make its lines of nodes wavy.
-    scale = np.sqrt(node_masses_kg(body, rollout.nodes_m[name][0]))[free]
+    scale = np.sqrt(node_masses_kg(hung.body, hung.rest_m))[free]
     columns = [(free_m - s) ** 4 / 24.0 * scale, scale, s * scale]
-    return body, coefficient(-moved_m[free, 2] * scale, *columns)
+    return coefficient(-hung.moved_m[free, 2] * scale, *columns)
 
 
 def worst_law(
@@ -291,7 +302,7 @@ def worst_law(
     ratios = {}
     for body in rollout.scene.deformables:
         for label, window_s in windows_s.items():
-            measurement = law(rollout, body.name, *window_s)
+            measurement = law(equilibrium(rollout, body.name, *window_s))
             ratios[f"{body.name} {label}"] = measurement.measured / measurement.expected
     return ratio(ratios, what)
 
@@ -502,7 +513,8 @@ def momentum_ratio(
                 hint=f"the block passes through {body.name}",
                 cause="the pair has no contact",
             )
-        moment = node_masses_kg(body, nodes_m[0]) @ moved_m + block.mass_kg * block_m
+        masses_kg = node_masses_kg(body, body.pose.to_body(nodes_m[0]))
+        moment = masses_kg @ moved_m + block.mass_kg * block_m
         momentum = (moment[-1] - moment[STRUCK]) / seconds
         x, y, z = momentum / (block.mass_kg * speed_m_per_s)
         ratios[body.name] = z

@@ -10,21 +10,10 @@ from typing import Literal
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from gauge_envs.fixtures.parts import (
-    box,
-    contact,
-    driven_box,
-    driver,
-    ramp,
-)
+from gauge_envs.fixtures.parts import box, contact, driven_box, driver, ramp
 from gauge_envs.fixtures.recording import Recording
 from gauge_envs.fixtures.slope import moved_m, slope_of
-from gauge_envs.scene import (
-    GRAVITY_M_PER_S2 as G,
-    Box,
-    Cylinder,
-    Scene,
-)
+from gauge_envs.scene import GRAVITY_M_PER_S2 as G, Box, Cylinder, Scene
 from gauge_envs.scene.drivers import Driver, DriverMotion
 from gauge_envs.scene.geometry import FloatArray, length_of, vector
 from gauge_envs.scene.profiles import TrapezoidProfile

@@ -123,8 +123,8 @@ def export_scenes(folder: Path, only: Sequence[str]) -> list[str]:
         ParameterError: No check is left.
         ResultFileError: The folder cannot be written.
     """
-    table: dict[str, Any] = {}
-    runs: dict[str, dict[str, Any]] = {}
+    table = {}
+    runs = {}
     for check in checks(only):
         if check.level not in (Level.RIGID, Level.CONTACT):
             continue

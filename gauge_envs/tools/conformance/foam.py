@@ -16,10 +16,10 @@ from gauge_envs.tools.conformance.deformable import (
     REST,
     START,
     STRIKE,
+    Equilibrium,
     attachment_error,
     clamped,
     coefficient,
-    equilibrium,
     momentum_ratio,
     rest_error,
     side_by_side,
@@ -104,34 +104,32 @@ def _foam_pinned_face(lab: Lab) -> Measurement:
     return attachment_error(lab.once(_hanging))
 
 
-def _strain(
-    rollout: Recording, name: str, start_s: float, end_s: float
-) -> tuple[SoftBody, float, float]:
-    """Return a bar and the growth with the height of its axial strain and of its contraction [1/m].
+def _strain(hung: Equilibrium) -> tuple[float, float]:
+    """Return the growth with the height of the axial strain of a bar and of its contraction [1/m].
 
     With z from the lower end, u_z = (rho g / 2E) (z^2 + nu r^2 - L^2) and u_x = -nu (rho g / E) z x.
     """
-    bar, depth_m, rest_m, moved_m = equilibrium(rollout, name, start_s, end_s)
-    free = rest_m[:, 2] < 0.5 * LENGTH_M - depth_m - EDGE_M + PLACE_TOLERANCE_M
-    rest_m, moved_m = rest_m[free], moved_m[free]
+    free_m = 0.5 * LENGTH_M - hung.depth_m - EDGE_M + PLACE_TOLERANCE_M
+    free = hung.rest_m[:, 2] < free_m
+    rest_m, moved_m = hung.rest_m[free], hung.moved_m[free]
     height_m, across_m = rest_m[:, 2] + 0.5 * LENGTH_M, rest_m[:, :2]
     columns = (0.5 * height_m**2, np.ones(len(rest_m)), np.square(across_m).sum(axis=1))
     rate = coefficient(moved_m[:, 2], *columns)
     lever_m2 = (height_m[:, None] * across_m).ravel()
-    return bar, rate, -coefficient(moved_m[:, :2].ravel(), lever_m2)
+    return rate, -coefficient(moved_m[:, :2].ravel(), lever_m2)
 
 
-def young(rollout: Recording, name: str, start_s: float, end_s: float) -> Measurement:
+def young(hung: Equilibrium) -> Measurement:
     """Measure Young's modulus [Pa] of a hanging bar."""
-    bar, rate, _ = _strain(rollout, name, start_s, end_s)
-    load = bar.mass_kg / math.prod(bar.shape.size_m) * rollout.scene.gravity_m_per_s2
-    return stiffness(load, rate, bar.young_modulus_pa)
+    bar = hung.body
+    load = bar.mass_kg / math.prod(bar.shape.size_m) * hung.gravity_m_per_s2
+    return stiffness(load, _strain(hung)[0], bar.young_modulus_pa)
 
 
-def poisson(rollout: Recording, name: str, start_s: float, end_s: float) -> Measurement:
+def poisson(hung: Equilibrium) -> Measurement:
     """Measure Poisson's ratio of a hanging bar."""
-    bar, rate, contraction = _strain(rollout, name, start_s, end_s)
-    return Measurement(measured=contraction / rate, expected=bar.poisson_ratio)
+    rate, contraction = _strain(hung)
+    return Measurement(measured=contraction / rate, expected=hung.body.poisson_ratio)
 
 
 @check(

@@ -8,13 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.polynomial.polynomial import polyfit
 
-from gauge_envs.fixtures.parts import (
-    ball,
-    body,
-    box,
-    corners,
-    thrown,
-)
+from gauge_envs.fixtures.parts import ball, body, box, corners, thrown
 from gauge_envs.fixtures.recording import Recording
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2 as G,
@@ -365,15 +359,10 @@ def tumble_long(lab: Lab) -> Measurement:
 
     Source: Euler.
     """
-    bodies = [
-        thrown(
-            box(name, (at, 0.0, 0.0), size_m, euler_deg=(20.0, 40.0, 60.0 * at)),
-            ZERO,
-            Pose.from_euler_deg(ZERO, (20.0, 40.0, 60.0 * at)).matrix
-            @ (TUMBLE_RAD_PER_S * np.array([0.1, 1.0, 0.05])),
-        )
-        for at, (name, size_m) in enumerate(TUMBLERS_M.items())
-    ]
+    bodies, spin = [], TUMBLE_RAD_PER_S * np.array([0.1, 1.0, 0.05])
+    for at, (name, size_m) in enumerate(TUMBLERS_M.items()):
+        block = box(name, (at, 0.0, 0.0), size_m, euler_deg=(20.0, 40.0, 60.0 * at))
+        bodies.append(thrown(block, ZERO, block.pose.matrix @ spin))
     scene = Scene(bodies=tuple(bodies), duration_s=TUMBLE_S, gravity_m_per_s2=0.0)
     rollout = lab.rollout(scene, interval_s=0.05)
     cases = {}

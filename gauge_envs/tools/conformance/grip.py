@@ -8,12 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gauge_envs.fixtures.grasp import (
-    OBJECT,
-    from_pads_m,
-    grasp_scene,
-    grasp_wrenches,
-)
+from gauge_envs.fixtures.grasp import OBJECT, from_pads_m, grasp_scene, grasp_wrenches
 from gauge_envs.fixtures.parts import box, contact, ground
 from gauge_envs.fixtures.recording import Recording
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G, Scene

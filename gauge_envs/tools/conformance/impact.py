@@ -18,13 +18,7 @@ from gauge_envs.fixtures.parts import (
     thrown,
 )
 from gauge_envs.fixtures.recording import Recording
-from gauge_envs.scene import (
-    Box,
-    Pose,
-    Shape,
-    Sphere,
-    Vector,
-)
+from gauge_envs.scene import Box, Pose, Shape, Sphere, Vector
 from gauge_envs.tools.conformance.lab import Lab, Measurement, ratio
 from gauge_envs.tools.conformance.model import COUNT, Checks, Level, Tolerance
 

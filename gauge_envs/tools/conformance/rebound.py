@@ -9,17 +9,9 @@ from gauge_envs.fixtures.drop import (
     RADIUS_M,
     balls_above_ground,
     bounce_of,
-    drop_scene,
     fall_s,
 )
-from gauge_envs.fixtures.parts import (
-    ball,
-    box,
-    contact,
-    fixed_box,
-    ground,
-    thrown,
-)
+from gauge_envs.fixtures.parts import ball, box, contact, fixed_box, ground, thrown
 from gauge_envs.fixtures.recording import Recording
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G, Contact, Vector
 from gauge_envs.scene.geometry import FloatArray, vector
@@ -70,8 +62,7 @@ def rebound_of_balls(lab: Lab) -> Measurement:
     values[SUSTAINED] = 0.0
     balls = balls_above_ground(drops_m, spacing_m=0.3)
     seconds = 2.1 * fall_s(DROP_M, G)
-    scene = drop_scene(balls, tuple(contacts), seconds=seconds, gravity=G)
-    rollout = lab.rollout(scene)
+    rollout = lab.run([*balls, ground()], contacts, seconds)
     ratios = {}
     for name in values:
         bounce = bounce_of(rollout, name)
@@ -108,8 +99,8 @@ def rebound_flat(lab: Lab) -> Measurement:
     """
     flat = box("box", (0.0, 0.0, RADIUS_M + DROP_M), (0.1, 0.08, 2.0 * RADIUS_M))
     touch = contact("box", "ground", friction=0.5, restitution=0.5)
-    scene = drop_scene([flat], (touch,), seconds=2.1 * fall_s(DROP_M, G), gravity=G)
-    bounce = bounce_of(lab.rollout(scene), "box")
+    rollout = lab.run([flat, ground()], [touch], 2.1 * fall_s(DROP_M, G))
+    bounce = bounce_of(rollout, "box")
     measured = bounce.restitution if bounce else math.inf
     return Measurement(measured=measured, expected=0.5)
 
@@ -140,7 +131,7 @@ def bounce_row(lab: Lab) -> Measurement:
     touch = contact(("ball", "heavy ball"), "ground", friction=0.5, restitution=1.0)
     half_s = fall_s(ROW_M, G)
     seconds = 2.0 * BOUNCES * half_s
-    rollout = lab.rollout(drop_scene(balls, (touch,), seconds=seconds, gravity=G))
+    rollout = lab.run([*balls, ground()], [touch], seconds)
     late = rollout.between(seconds - 0.5 * half_s, seconds)
     ratios = {}
     for each in balls:

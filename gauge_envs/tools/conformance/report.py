@@ -3,7 +3,6 @@
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from textwrap import shorten
-from typing import Any
 
 from gauge_envs.backends import backend_names, versions_of
 from gauge_envs.errors import GaugeError
@@ -38,7 +37,7 @@ def backends_table() -> Table:
 
     Engines outside this package answer in a separate process.
     """
-    rows: list[dict[str, Any]] = []
+    rows = []
     for name in backend_names():
         try:
             engine_versions = call_engine(

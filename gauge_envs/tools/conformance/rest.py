@@ -203,8 +203,8 @@ def contact_listed(lab: Lab) -> Measurement:
 
     Source: contract (scene.Contact).
     """
-    missing: set[str] = set()
-    extra: set[str] = set()
+    missing = set()
+    extra = set()
     for pairs, rollout in lab.once(_rest):
         others = {pair.other for pair in pairs}
         for solid in rollout.scene.dynamic_bodies:

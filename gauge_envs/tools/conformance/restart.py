@@ -31,12 +31,7 @@ from gauge_envs.fixtures.recording import (
     record,
 )
 from gauge_envs.runs.workers import Worker
-from gauge_envs.scene import (
-    Hinge,
-    Pose,
-    RigidBody,
-    Scene,
-)
+from gauge_envs.scene import Hinge, Pose, RigidBody, Scene
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.jitter import rotate
 from gauge_envs.scene.states import nominal_states, scene_at
@@ -49,7 +44,6 @@ from gauge_envs.tools.conformance.model import EXACT, Checks, Level, Tolerance
 from gauge_envs.tools.conformance.repeats import (
     BITS,
     RUN_S,
-    Gap,
     apart,
     gaps,
     largest_gap,
@@ -226,7 +220,7 @@ def reset_start(lab: Lab) -> Measurement:
 
     Source: contract (Simulation.reset).
     """
-    found: list[Gap] = []
+    found = []
     cases = ("after the first reset", "after a run", "after a run from other starts")
     for built, runs in lab.once(_again):
         for run, when in zip(runs, cases, strict=False):
@@ -271,7 +265,7 @@ def reset_course(lab: Lab) -> Measurement:
 
     Source: contract (Simulation.reset).
     """
-    found: list[Gap] = []
+    found = []
     for _, runs in lab.once(_again):
         for seed in (0, 1):
             found += apart(runs[seed], runs[seed + 3], f"with seed {seed} again")
@@ -299,11 +293,11 @@ def starts_free(lab: Lab) -> Measurement:
 
     Source: contract (Simulation.reset).
     """
-    solids: list[dict[str, Any]] = [
+    solids = [
         {"bodies": (body(name, shape, Pose(position_m=(x, 3, 1))),)}
         for x, (name, shape) in enumerate(SOLIDS.items())
     ]
-    found: list[Gap] = []
+    found = []
     for scene in (widest(lab, *solids, BOUNCE, CARRIED, HUNG), *lab.once(cloths)):
         states = shifted_states(scene, 1.0)
         for row, item in zip(states, scene.bodies, strict=False):

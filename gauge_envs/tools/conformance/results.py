@@ -10,11 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from gauge_envs.backends import backend, backend_names
-from gauge_envs.errors import (
-    GaugeError,
-    ResultFileError,
-    UnknownNameError,
-)
+from gauge_envs.errors import GaugeError, ResultFileError, UnknownNameError
 from gauge_envs.files import json_ready
 from gauge_envs.pages.document import save_file
 from gauge_envs.reading import reading

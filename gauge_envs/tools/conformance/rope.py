@@ -6,15 +6,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from gauge_envs.fixtures.parts import box
-from gauge_envs.fixtures.recording import Recording
-from gauge_envs.scene import (
-    GRAVITY_M_PER_S2 as G,
-    Pose,
-    Region,
-    Rod,
-    Rope,
-    Scene,
-)
+from gauge_envs.scene import GRAVITY_M_PER_S2 as G, Pose, Region, Rod, Rope, Scene
 from gauge_envs.tools.conformance.deformable import (
     FRAME,
     LEVEL,
@@ -22,9 +14,10 @@ from gauge_envs.tools.conformance.deformable import (
     REST,
     START,
     STRIKE,
+    Equilibrium,
     also_attached,
-    cantilever,
     clamped,
+    droop,
     momentum_ratio,
     rest_error,
     side_by_side,
@@ -164,14 +157,12 @@ def clamped_rod(rod: Rope | Rod) -> Scene:
     return clamped(rod, clamp, duration_s=BENT_S, gravity_m_per_s2=0.2 * G)
 
 
-def rod_stiffness(
-    rollout: Recording, name: str, start_s: float, end_s: float
-) -> Measurement:
+def rod_stiffness(hung: Equilibrium) -> Measurement:
     """Measure the bending stiffness E I of a clamped rod [N m^2]: E I w'' = rho A g (L - s)^2 / 2."""
-    rod, slope = cantilever(rollout, name, start_s, end_s)
-    load = rod.mass_kg / rod.length_m * rollout.scene.gravity_m_per_s2
+    rod = hung.body
+    load = rod.mass_kg / rod.length_m * hung.gravity_m_per_s2
     expected = rod.young_modulus_pa * 0.25 * math.pi * rod.radius_m**4
-    return stiffness(load, slope, expected)
+    return stiffness(load, droop(hung), expected)
 
 
 @check(
@@ -190,7 +181,6 @@ def _rod_bending(lab: Lab) -> Measurement:
 
     Source: Euler and Bernoulli.
     """
-    rollout = lab.rollout(
-        side_by_side([*map(clamped_rod, BENT_RODS)], BENT_S - ROD_SETTLED_S)
-    )
+    rods = [clamped_rod(rod) for rod in BENT_RODS]
+    rollout = lab.rollout(side_by_side(rods, BENT_S - ROD_SETTLED_S))
     return worst_law(rollout, rod_stiffness, "E I", ROD_SETTLED_S, BENT_S)

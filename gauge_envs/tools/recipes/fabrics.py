@@ -1,7 +1,6 @@
 """Convert measured fabrics to engine constants, and measure the bending stiffness of a simulated strip."""
 
 import math
-from collections.abc import Mapping
 
 from gauge_envs.backends.fabric_constants import FabricConstants
 from gauge_envs.backends.registry import backend, backend_class, backend_names
@@ -102,14 +101,14 @@ def fabric_recipe(
         "bend_n_m": fabric.bend_stiffness_n_m_per_rad,
         "bending_length_m": bending_length_m(fabric),
     }
-    reached: dict[str, float | None] = {
+    reached = {
         **dict.fromkeys(targets),
         "stretch_n_per_m": mapped.stretch_stiffness_n_per_m,
         "shear_n_per_m": mapped.shear_stiffness_n_per_m,
     }
     texts = [f"A fall-back sets {text}." for text in mapped.fallbacks]
     texts += [f"The mapping loses {loss}." for loss in mapped.lost]
-    versions: Mapping[str, str] = {}
+    versions = {}
     if engine == ISAAC:
         texts.append("This package does not simulate Isaac Sim.")
     else:

@@ -16,13 +16,7 @@ from gauge_envs.fixtures.parts import ball, body, contact, ground, thrown
 from gauge_envs.fixtures.recording import Recording, record
 from gauge_envs.fixtures.slope import creep_m_per_s, friction_of_slide
 from gauge_envs.fixtures.turning import INERTIA_SHARES, ROLL, SPIN, turning_arm_m
-from gauge_envs.scene import (
-    GRAVITY_M_PER_S2 as G,
-    Box,
-    Pose,
-    RigidBody,
-    Scene,
-)
+from gauge_envs.scene import GRAVITY_M_PER_S2 as G, Box, Pose, RigidBody, Scene
 from gauge_envs.scene.geometry import FloatArray, vector
 from gauge_envs.tools.conformance import Lab
 from gauge_envs.tools.recipes.engines.base import ContactSettings

@@ -3,13 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 
-from gauge_envs.pages.document import (
-    Bullets,
-    Document,
-    Paragraph,
-    Part,
-    Tone,
-)
+from gauge_envs.pages.document import Bullets, Document, Paragraph, Part, Tone
 from gauge_envs.pages.table import Column, Place, Table
 from gauge_envs.scene.fabrics import Fabric
 from gauge_envs.tools.recipes.fabrics import fabric_constants

@@ -11,11 +11,7 @@ from gauge_envs.fixtures.recording import DivergedError
 from gauge_envs.scene import GRAVITY_M_PER_S2
 from gauge_envs.tools.recipes.aim import Aim
 from gauge_envs.tools.recipes.engines.base import ContactSettings, rounded
-from gauge_envs.tools.recipes.probes import (
-    NAMES,
-    Probe,
-    measured,
-)
+from gauge_envs.tools.recipes.probes import NAMES, Probe, measured
 
 RESTITUTION_TOLERANCE = 0.01
 """Largest accepted error of a restitution, as in the conformance checks of rebounds."""

@@ -7,7 +7,7 @@ import os
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -121,7 +121,7 @@ def sanity(
         raise ParameterError(
             "no target is given: name one, as in gauge sanity HalfCheetah-v5"
         )
-    chosen: dict[str, Any] = {"only": only or []}
+    chosen = only or []
     files = arguments.by_suffix(out, ".md", ".json")
     if against is not None:
         if pair is not None or fix is not None:
@@ -137,11 +137,9 @@ def sanity(
             f"--pair {','.join(geoms)}: expected the names of two geoms, as floor,foot"
         )
     checked = configuration(target, pair=geoms)
-    with Progress("checks", len(selection(**chosen))) as progress:
+    with Progress("checks", len(selection(chosen))) as progress:
         report = check(
-            checked,
-            notify=lambda result: progress.advance(result.id),
-            **chosen,
+            checked, only=chosen, notify=lambda result: progress.advance(result.id)
         )
     document = sanity_document(report, is_all=is_all)
     if geoms is not None:
@@ -180,7 +178,7 @@ def _annotate(report: Report) -> None:
 def _compare(
     first: str,
     second: str,
-    options: dict[str, Any],
+    only: Sequence[str],
     is_strict: bool,
     files: dict[str, Path],
     form: Format,
@@ -189,7 +187,7 @@ def _compare(
     from gauge_envs.tools.sanity import check
     from gauge_envs.tools.sanity.comparison import difference, difference_document
 
-    reports = [check(target, explain=False, **options) for target in (first, second)]
+    reports = [check(target, explain=False, only=only) for target in (first, second)]
     compared = difference(*reports)
     _print(difference_document(compared), form, files)
     changed = [check for check in compared.checks if check.is_changed]

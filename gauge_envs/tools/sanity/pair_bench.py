@@ -113,8 +113,8 @@ def touching(robot: Robot) -> dict[tuple[int, int], FloatArray]:
         if force[0] > 0.0:
             # The normal force, and the tangential force as a vector [N].
             along = contact.frame.reshape(3, 3)[1:].T @ force[1:3]
-            sums.setdefault(pair, np.zeros(4))
-            sums[pair] += [force[0], *along]
+            added = [force[0], *along]
+            sums[pair] = np.add(sums.get(pair, 0.0), added)
     return {
         pair: np.array([total[0], np.linalg.norm(total[1:])])
         for pair, total in sums.items()
@@ -151,18 +151,18 @@ def touch_of(
         mass_kg = min(mass_kg, load_n / G)
     normal, distance_m = _gap(model, data, fixed, moving)
     frame = Rotation.align_vectors([[0.0, 0.0, 1.0]], [normal])[0]
-    poses = [
-        Rotation.from_matrix(data.geom_xmat[geom].reshape(3, 3))
+    fixed_pose, moving_pose = (
+        frame * Rotation.from_matrix(data.geom_xmat[geom].reshape(3, 3))
         for geom in (fixed, moving)
-    ]
+    )
     return Touch(
         fixed,
         moving,
         mass_kg,
         load_n,
         pull_n,
-        frame * poses[0],
-        frame * poses[1],
+        fixed_pose,
+        moving_pose,
         frame.apply(data.geom_xpos[moving] - data.geom_xpos[fixed])
         - [0.0, 0.0, distance_m],
     )

@@ -206,9 +206,7 @@ def _object_findings(report: Report) -> list[Part]:
     if not flags:
         return []
     shown, left = flags[:MAX_OBJECT_FLAGS], flags[MAX_OBJECT_FLAGS:]
-    parts: list[Part] = [
-        Table(title=OBJECTS_TEXT, columns=(*COLUMNS, SEVERITY), rows=shown)
-    ]
+    parts: list[Part] = [Table(title=OBJECTS_TEXT, columns=COLUMNS, rows=shown)]
     if left:
         names = first_names([result.id for result in left], MAX_NAMES)
         parts.append(Paragraph(f"and {len(left)} more: {names}"))
@@ -279,7 +277,7 @@ def _all_rows(report: Report) -> Table:
         wide_only=True,
     )
     rows = [result for result in report.checks if result.applies]
-    return Table(columns=(*COLUMNS, SEVERITY, remark), rows=rows)
+    return Table(columns=(*COLUMNS, remark), rows=rows)
 
 
 def _style(result: SanityResult) -> str:
@@ -297,19 +295,18 @@ def measured_text(result: SanityResult) -> str:
     return "-" if result.configured is None else quantity_text(result.configured)
 
 
-SEVERITY = Column(
-    "",
-    "",
-    lambda result: (
-        "accepted" if result.accepted else result.severity or result.verdict.value
-    ),
-    style=_style,
-)
-
 COLUMNS = (
     Column("id", "check"),
     Column("title", "quantity"),
     Column("", "here", measured_text, is_number=True, style=_style),
     Column("", "expected", lambda result: reality_text(result.reality, result.unit)),
+    Column(
+        "",
+        "",
+        lambda result: (
+            "accepted" if result.accepted else result.severity or result.verdict.value
+        ),
+        style=_style,
+    ),
 )
 """Columns of tables of checks."""

@@ -113,7 +113,7 @@ def test_a_motion_that_is_missing_or_short_is_named(tmp_path, gauge):
     )
     result = gauge("backend", "check", "--judge", tmp_path)
     assert result.exit_code == 1
-    assert "0 pass, 0 fail, 1 error, 1 unsupported of 2" in result.stderr
+    assert "0 pass, 0 fail, 1 error, 1 unsupported of 2" in result.stdout
 
 
 def test_scenes_of_other_checks_are_rejected(tmp_path, gauge):

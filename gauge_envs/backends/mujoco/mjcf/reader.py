@@ -26,11 +26,7 @@ import numpy as np
 
 from gauge_envs.backends.mujoco import BackendMuJoCo
 from gauge_envs.backends.mujoco.flex import flex_table
-from gauge_envs.backends.mujoco.mjcf.diff import (
-    is_same,
-    model_changes,
-    rows_by_name,
-)
+from gauge_envs.backends.mujoco.mjcf.diff import is_same, model_changes, rows_by_name
 from gauge_envs.backends.mujoco.mjcf.writer import (
     DRIVER_COLUMNS,
     DRIVER_PREFIX,

@@ -88,7 +88,7 @@ class ContactSettings(BaseModel, ABC):
         Raises:
             ParameterError: The text has a wrong form, or a setting does not exist.
         """
-        values: dict[str, Any] = {}
+        values = {}
         for name, part in PAIR.findall(text):
             matches = VALUE.findall(part)
             values[name] = tuple(matches) if len(matches) > 1 else "".join(matches)

@@ -215,7 +215,7 @@ def _hard(aim: Aim) -> dict[str, Any]:
     time_s = max(DEFAULT_TIME_S, 2.0 * aim.timestep_s)
     # On n contacts the depth is (1 - d) g T^2 / n for a constant impedance d.
     impedance = impedance_of(aim, 0.95, lambda load_s2: 1.0 - load_s2 / time_s**2)
-    contact: dict[str, Any] = {
+    contact = {
         "solref": (time_s, 1.0),
         "solimp": (impedance, impedance, 0.001),
         "impratio": 10.0,

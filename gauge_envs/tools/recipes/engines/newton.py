@@ -6,10 +6,7 @@ from pydantic import Field
 
 from gauge_envs.tools.recipes.aim import Aim
 from gauge_envs.tools.recipes.engines.base import numbers
-from gauge_envs.tools.recipes.engines.mujoco import (
-    ConstraintSettings,
-    contact_of,
-)
+from gauge_envs.tools.recipes.engines.mujoco import ConstraintSettings, contact_of
 
 
 class NewtonSettings(ConstraintSettings):

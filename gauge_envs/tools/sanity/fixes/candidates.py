@@ -140,7 +140,7 @@ def candidates_of(
         candidates = [*candidates, *smaller]
     robot = configuration.robot
     is_kept = OF_RECIPE if robot is not None and keeps_recipe(robot.model) else ()
-    new_changes: list[dict[str, Any]] = []
+    new_changes = []
     for changes in candidates:
         new = {
             name: value

@@ -284,7 +284,7 @@ def write_change(
         changes: The change, as `changed_model` takes it.
     """
     text = None if robot.text is None else TextChange(robot.text)
-    hidden: list[str] = []
+    hidden = []
     _, places = changed_model(robot, changes)
     sections: dict[tuple[str, ...], dict[str, str]] = {}
     for name, (place, key, text_of) in ATTRIBUTES.items():

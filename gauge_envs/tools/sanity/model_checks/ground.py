@@ -99,7 +99,7 @@ def feet(robot: Robot) -> Finding:
         body for geom in lows for body in chain_of(model, int(model.geom_bodyid[geom]))
     }
     is_solid = (model.geom_contype | model.geom_conaffinity) != 0
-    lame: dict[int, int] = {}
+    lame = {}
     for geom in np.flatnonzero(np.isin(model.geom_bodyid, robot.bodies)).tolist():
         limb = chain_of(model, int(model.geom_bodyid[geom]))
         low = support_m(robot, geom)

@@ -141,7 +141,7 @@ class ModelText:
     def _elements(self, kind: str) -> list[Element]:
         """Return elements of a kind, those of each body before those of its child bodies."""
         bodies: dict[Element, int] = {}
-        elements: list[tuple[int, Element]] = []
+        elements = []
         for element in self.root.inner():
             if element.tag == "body":
                 bodies[element] = len(bodies) + 1
