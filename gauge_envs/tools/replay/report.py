@@ -273,15 +273,9 @@ def _joint_reports(
         numbers = np.transpose([rms, rms / noise, rms / motion, kept])
         length_s = horizon_s or log.interval_s
         predictions.append([Prediction(length_s, *row) for row in numbers])
-    reports = []
-    for joint, rows in enumerate(zip(*predictions, strict=True)):
-        report = JointReport(
-            joint=log.joints[joint],
-            noise=log.position_noise[joint],
-            repeat_rms=repeat[joint] if repeat else None,
-            predictions=rows,
-        )
-        reports.append(report)
+    repeated: Sequence[float | None] = repeat or [None] * len(log.joints)
+    columns = (log.joints, log.position_noise, repeated, zip(*predictions, strict=True))
+    reports = [JointReport(*row) for row in zip(*columns, strict=True)]
     return tuple(sorted(reports, key=lambda row: -row.predictions[1].over_noise))
 
 
@@ -306,14 +300,9 @@ def _explained(problem: Problem, fit: Fit) -> list[Explained]:
     """Return the causes of a fit as they are printed: by name, as the search may find either of two first."""
     explained, step_s = [], problem.replayer.log.command_interval_s
     for interval in sorted(fit.intervals(), key=lambda each: each.cause.name):
-        cause, values = interval.cause, fitted_values(interval)
-        row = Explained(
-            cause=cause.name,
-            text=_text(cause, interval.group.label, values, step_s),
-            share=problem.share(fit),
-            unit=cause.unit,
-            values=tuple(values),
-        )
+        cause, values = interval.cause, tuple(fitted_values(interval))
+        text = _text(cause, interval.group.label, values, step_s)
+        row = Explained(cause.name, text, problem.share(fit), cause.unit, values)
         explained.append(row)
     return explained
 
