@@ -220,7 +220,8 @@ SCREENS = [
 
 
 def tokens(text):
-    """Numbers, words and signs of a text."""
+    """Numbers, words and signs of a text, without the speed of a fix, which depends on the machine."""
+    text = re.sub(r"; (?:as fast|\S+ % (?:faster|slower))$", "", text, flags=re.M)
     return re.findall(r"[-+]?\d+(?:\.\d+)?(?:e[-+]\d+)?|[^\W\d]+|[^\w\s]", text)
 
 

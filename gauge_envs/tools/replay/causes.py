@@ -70,7 +70,7 @@ class Cause:
         present: Values of the model as it is, shape [K].
         typical: Change that matters, shape [K] or a number.
         apply: Gives the values to a setup.
-        groups: What is fitted.
+        groups: What is fitted; each value alone by default.
         is_positive: Whether the values stay above zero.
         starts: Numbers from which the fit starts where the error is not smooth at the present value.
         origin: Values where the numbers are zero; by default the present ones.
@@ -83,7 +83,7 @@ class Cause:
     present: FloatArray
     typical: ArrayLike
     apply: Callable[[Setup, FloatArray], None]
-    groups: Sequence[ParameterGroup]
+    groups: Sequence[ParameterGroup] = ()
     is_positive: bool = True
     starts: Sequence[float] = ()
     origin: ArrayLike | None = None
@@ -180,7 +180,6 @@ def _zero(replayer: Replayer, setup: Setup, driven: IntArray) -> Cause:
         present=setup.zero,
         typical=1.0,
         apply=set_zero,
-        groups=groups_of(len(setup.zero)),
         is_positive=False,
         starts=(-1.6, -1.0, -0.5, -0.2, 0.2, 0.5, 1.0, 1.6),
         origin=0.0,
@@ -236,7 +235,6 @@ def _stops(replayer: Replayer, setup: Setup) -> Cause:
             f"{joint} {side}" for side in ("lower", "upper") for joint in joints
         ],
         typical=0.05,
-        groups=groups_of(2 * len(ids)),
         is_positive=False,
         starts=(-0.4, 0.4),
         origin=np.percentile(replayer.log.position, (2.0, 98.0), axis=0).ravel(),
@@ -269,8 +267,12 @@ def _bodies(setup: Setup) -> list[Cause]:
     return [
         Cause(
             name="gravity or tilt",
-            unit="m/s^2, rad",
-            parameters=["gravity z", "tilt x", "tilt y"],
+            unit="",
+            parameters=[
+                "the world along z [m/s^2]",
+                "the world about x [rad]",
+                "the world about y [rad]",
+            ],
             present=np.array([model.opt.gravity[2], 0.0, 0.0]),
             typical=(1.0, 0.16, 0.16),
             apply=set_gravity,
@@ -316,7 +318,6 @@ def _bodies(setup: Setup) -> list[Cause]:
             # A payload may be heavier than the link that carries it.
             typical=0.02 * model.body_mass.sum(),
             apply=add_payload,
-            groups=groups_of(len(ends)),
         ),
     ]
 
@@ -370,7 +371,6 @@ def _drives(
             unit="s",
             parameters=["delay"],
             typical=0.02,
-            groups=groups_of(1),
             is_positive=False,
             # The error has several minima over the delay.
             starts=(-0.5, 0.25, 0.5, 1.0, 1.5, 2.25, 3.0, 4.5, 6.5, 9.0),
@@ -498,7 +498,6 @@ def _contacts() -> list[Cause]:
             present=np.ones(1),
             typical=1.0,
             apply=apply,
-            groups=groups_of(1),
             starts=(-0.85, -0.7, -0.55, -0.4, -0.2, 0.5, 1.5, 4.0),
         )
         for name, apply in setters.items()

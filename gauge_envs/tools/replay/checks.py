@@ -48,6 +48,8 @@ MAX_RATE_RATIO = 1.5
 """Ratio of velocities and slopes from which on the unit or clock is wrong; motion too fast for the log has less."""
 ANSWER_S = 0.015
 """Time within which no joint answers a command."""
+BASE_ANSWER_S = 0.03
+"""Time within which no base answers a command, and no joint swings back."""
 SAME_LAW = 0.3
 MAX_LEFT = 0.2
 """Relative difference of a ratio and the law of motion, and variance that the law leaves, up to which they agree."""
@@ -344,24 +346,38 @@ def _rate_order(log: Log) -> Iterator[str]:
         yield f"velocities are exchanged ({pairs}): they are put back"
 
 
+def _answers_between(log: Log, answer_s: float) -> bool:
+    """Return whether each sample has another command, which is answered before the next sample.
+
+    Velocities may then be unlike those between the samples at all of them.
+
+    Args:
+        log: The log.
+        answer_s: Time within which no part answers a command.
+    """
+    is_fast = log.command_interval_s < 1.5 * log.interval_s
+    return bool(log.command_kind) and is_fast and log.interval_s > answer_s
+
+
 def _obeys(log: Log, order: NDArray[np.intp], ratio: FloatArray) -> BoolArray:
     """Return whether a linear law of motion agrees with the ratio of velocities and slopes of each joint, shape [J].
 
-    If commands change at each sample, velocities may be unlike those between two samples at all of them. The law
-    x' = F x + G u over an interval h is x[k + 1] = exp(F h) x[k] + ..., by least squares. Its rows of the positions
-    give q' = dq, or the ratio of another unit.
+    All do if no command is answered between two samples. The law x' = F x + G u over an interval h is
+    x[k + 1] = exp(F h) x[k] + ..., by least squares. Its rows of the positions give q' = dq, or the ratio of another
+    unit. A velocity that is the slope with the other sign needs no law: no joint moves against its velocity.
     """
     count = len(order)
-    answers = log.command_interval_s < 1.5 * log.interval_s > ANSWER_S
-    if not (log.command_kind and answers):
+    if not _answers_between(log, ANSWER_S):
         return np.ones(count, bool)
     state = np.hstack([log.position, log.velocity])
     command = log.held_command()
     given = np.hstack(
         [state[1:-1], command[1:-1], command[:-2], np.ones((len(state) - 2, 1))]
     )
+    swings_back = log.interval_s > BASE_ANSWER_S
+    is_opposite: BoolArray = (np.abs(ratio + 1.0) < SAME_LAW) & (not swings_back)
     if len(given) < 2 * given.shape[1]:
-        return np.zeros(count, bool)
+        return is_opposite
     law = np.linalg.lstsq(given, state[2:], rcond=None)[0]
     left = np.var(state[2:] - given @ law, axis=0) / np.maximum(
         np.var(state, axis=0), 1e-12
@@ -371,8 +387,11 @@ def _obeys(log: Log, order: NDArray[np.intp], ratio: FloatArray) -> BoolArray:
         (vectors * np.log(values + 1e-12j)) @ np.linalg.pinv(vectors) / log.interval_s
     )
     places = count + order
-    agrees = np.abs(slopes.real[range(count), places] * ratio - 1.0) < SAME_LAW
-    return agrees & (left[places] < MAX_LEFT)
+    slope = slopes.real[range(count), places]
+    agrees = (np.abs(slope * ratio - 1.0) < SAME_LAW) & (left[places] < MAX_LEFT)
+    # The law of a servo that rings is off by a third: it must differ from q' = dq as clearly as the ratio does.
+    is_unlike = np.abs(np.log(np.abs([slope, ratio]) + 1e-12)) > np.log(MAX_RATE_RATIO)
+    return is_opposite | (agrees & (is_unlike[0] | ~is_unlike[1]))
 
 
 def _is_loud(log: Log, found: Increments) -> BoolArray:
@@ -552,7 +571,8 @@ def _check_base(log: Log) -> Iterator[str]:
             "base_angvel does not show the order of base_quat: it is taken as w x y z; "
             'if it is x y z w, add quaternion = "xyzw" to --map'
         )
-    if (reading.misfit > 1.0).any():
+    is_unlike = (reading.misfit > 1.0).any()
+    if not is_given or (is_unlike and not _answers_between(log, BASE_ANSWER_S)):
         log.base_twist = reading.slope
         if is_given:
             yield "base velocities do not fit the pose: its differences are used"

@@ -109,18 +109,19 @@ def replay(
         names, joints = (
             [part.strip() for part in text.split(",") if part] for text in (fit, joint)
         )
-        line = fit_logs(log, model[0], test or (), names, joints, mapped, write)
-        document, paste = constants_document(line), line.paste
+        found = fit_logs(log, model[0], test or (), names, joints, mapped, write)
+        document, paste = constants_document(found), found.paste
     elif len(model) > 1:
         document = judge_document(judge_models(log, model, mapped))
     else:
         if len(log) > 1:
             raise ParameterError("several logs need --fit, or a second --model")
         with Progress("causes", None) as progress:
-            advance = progress.advance
-            result = explain(log[0], model[0], against, mapped, advance, policy_file)
-        document, paste = replay_document(result.line), result.line.paste
-        differs = result.verdict is not ReplayVerdict.NOISE
+            line = explain(
+                log[0], model[0], against, mapped, progress.advance, policy_file
+            ).line
+        document, paste = replay_document(line), line.paste
+        differs = line.verdict is not ReplayVerdict.NOISE
     print_document(document, form, files=files)
     if form is not Format.JSON:
         for stack, text in paste.items():

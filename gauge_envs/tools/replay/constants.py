@@ -72,10 +72,11 @@ def fit_logs(
         present = load_setups(tests or logs, model, mapped)
         fitted = [(each, fit.change(setup)) for each, setup in present]
         judged = judge_setups([model.name, "fitted"], [present, fitted])
+        replayer, setup = pairs[0]
         change = Change(
-            before=pairs[0][1],
-            after=fit.shown_setup(pairs[0][1]),
-            replayer=pairs[0][0],
+            before=setup,
+            after=fit.shown_setup(setup),
+            replayer=replayer,
             file=model,
             given=mapped,
         )

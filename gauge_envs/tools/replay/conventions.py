@@ -95,31 +95,27 @@ def _conventions(
     joints = {name: model.joint(name) for name in log.joints}
     is_far = np.abs(log.position).max() > MAX_ANGLE
     slide = mujoco.mjtJoint.mjJNT_SLIDE.value
-    slides = [name for name, joint in joints.items() if joint.type[0] == slide]
-    if mapped.unit == "rad" and is_far:
-        radians = {
-            name: {"scale": float(np.deg2rad(1.0))}
-            for name in joints
-            if name not in slides
+    radians, metres, percent = {}, {}, {}
+    for name, joint in joints.items():
+        low, high = joint.range.tolist()
+        percent[name] = {
+            "scale": (high - low) / 200.0,
+            "offset_rad": (low + high) / 2.0,
         }
+        if joint.type[0] == slide:
+            metres[name] = {"scale": 1e-3}
+        else:
+            radians[name] = {"scale": float(np.deg2rad(1.0))}
+    if mapped.unit == "rad" and is_far:
         degrees = mapped.model_copy(update={"unit": "deg"})
         yield (
             "angles are in degrees",
-            with_joints(mapped, radians) if slides else degrees,
+            with_joints(mapped, radians) if metres else degrees,
         )
-    ranges = {name: joint.range for name, joint in joints.items()}
-    if is_far and all(np.ptp(limits) > 0.0 for limits in ranges.values()):
-        percent = {
-            name: {
-                "scale": float(np.ptp(limits)) / 200.0,
-                "offset_rad": float(limits.mean()),
-            }
-            for name, limits in ranges.items()
-        }
+    if is_far and all(each["scale"] > 0.0 for each in percent.values()):
         yield "positions are -100 to 100 of each range", with_joints(mapped, percent)
-    if slides:
-        metres = {name: {"scale": 1e-3} for name in slides}
-        yield f"lengths of {', '.join(slides)} are in mm", with_joints(mapped, metres)
+    if metres:
+        yield f"lengths of {', '.join(metres)} are in mm", with_joints(mapped, metres)
     if len(gain) > len(joints) and gain[:6].sum() > MIN_GAIN:
         yield from _base_conventions(mapped)
     for name in joints:

@@ -110,7 +110,7 @@ def judge_setups(
             continue
         for name, pieces in zip(names, errors, strict=True):
             rms, over_noise = np.sqrt(np.mean(pieces**2, axis=0))
-            ratio, low, high = _ratio(pieces[:, 1], errors[0, :, 1])
+            ratio, low, high = _ratio(pieces[:, 1], errors[0, :, 1]).tolist()
             better = "yes" if high < 1.0 else "no" if low > 1.0 else "cannot tell"
             better = "nominal" if name == names[0] else better
             lines.append(
@@ -137,14 +137,13 @@ def _errors(setups: Sequence[tuple[Replayer, Setup]], horizon_s: float) -> Float
     return np.concatenate(rows)
 
 
-def _ratio(errors: FloatArray, nominal: FloatArray) -> tuple[float, float, float]:
+def _ratio(errors: FloatArray, nominal: FloatArray) -> FloatArray:
     """Return the geometric mean of ratios of errors, and its 95 % interval."""
     logarithms = np.log(np.maximum(errors, 1e-9) / np.maximum(nominal, 1e-9))
     count = len(logarithms)
     half = student.ppf(0.975, count - 1) * np.std(logarithms, ddof=1) / np.sqrt(count)
     mean = np.mean(logarithms)
-    ratio, low, high = np.exp([mean, mean - half, mean + half]).tolist()
-    return ratio, low, high
+    return np.exp([mean, mean - half, mean + half])
 
 
 def judge_document(lines: Sequence[ModelLine]) -> Document:

@@ -157,12 +157,11 @@ class LogMap(BaseModel, extra="forbid"):
         """Raise an error for a joint of the map that a log lacks."""
         tables = [self.joints, *dict(self.control).values()]
         for table in tables:
-            names = [*table] if isinstance(table, dict) else []
-            for name in names:
-                if name in known:
-                    continue
-                reason = f"the log has no such joint; it has {first_names([*known])}"
-                raise FileError("--map", name, reason)
+            for name in table if isinstance(table, dict) else ():
+                if name not in known:
+                    has = first_names([*known])
+                    reason = f"the log has no such joint; it has {has}"
+                    raise FileError("--map", name, reason)
 
 
 def with_joints(mapped: LogMap, changes: Mapping[str, dict[str, Any]]) -> LogMap:

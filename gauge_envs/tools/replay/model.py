@@ -296,8 +296,8 @@ class Replayer:
         base_dof = model.jnt_dofadr[base] + np.arange(6 * len(base))
         pose = log.base_pose[:, : len(base_place)]
         twist = log.base_twist[:, : len(base_dof)]
-        places = np.append(base_place, model.jnt_qposadr[self.joint])
         self._places = model.jnt_qposadr[self.joint]
+        places = np.append(base_place, self._places)
         self.dofs = np.append(base_dof, self.dof)
         self.is_joint = np.isin(self.dofs, self.dof)
         self.qpos = np.tile(model.qpos0, (len(log.time_s), 1))

@@ -30,7 +30,6 @@ BODY_FIELDS = {
     "diaginertia": "body_inertia",
 }
 """Field of the model by attribute of an inertial."""
-OPTIONS = ("gravity", "timestep")
 
 
 @dataclass(frozen=True)
@@ -69,9 +68,8 @@ class Change:
             rows = self._rows(field)
             getattr(changed, field)[rows] = getattr(after, field)[rows]
         changed.jnt_limited[self._rows("jnt_range")] = 1
-        changed.opt.gravity[:], changed.opt.timestep = (
-            getattr(after.opt, name) for name in OPTIONS
-        )
+        changed.opt.gravity[:] = after.opt.gravity
+        changed.opt.timestep = after.opt.timestep
         for index, values in self._drives():
             drive = changed.actuator(index)
             if "kp" in values:
@@ -117,7 +115,7 @@ class Change:
             }
             body = f"body {_attributes({'name': model.body(row).name})}".rstrip()
             yield f"<{body}><inertial {_attributes(numbers)}/></body>"
-        for name in OPTIONS:
+        for name in ("gravity", "timestep"):
             old, new = (
                 getattr(each.model.opt, name) for each in (self.before, self.after)
             )

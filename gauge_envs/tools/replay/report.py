@@ -273,15 +273,9 @@ def _joint_reports(
         numbers = np.transpose([rms, rms / noise, rms / motion, kept])
         length_s = horizon_s or log.interval_s
         predictions.append([Prediction(length_s, *row) for row in numbers])
-    reports = []
-    for joint, rows in enumerate(zip(*predictions, strict=True)):
-        report = JointReport(
-            joint=log.joints[joint],
-            noise=log.position_noise[joint],
-            repeat_rms=repeat[joint] if repeat else None,
-            predictions=rows,
-        )
-        reports.append(report)
+    repeated: Sequence[float | None] = repeat or [None] * len(log.joints)
+    columns = (log.joints, log.position_noise, repeated, zip(*predictions, strict=True))
+    reports = [JointReport(*row) for row in zip(*columns, strict=True)]
     return tuple(sorted(reports, key=lambda row: -row.predictions[1].over_noise))
 
 
@@ -306,14 +300,9 @@ def _explained(problem: Problem, fit: Fit) -> list[Explained]:
     """Return the causes of a fit as they are printed: by name, as the search may find either of two first."""
     explained, step_s = [], problem.replayer.log.command_interval_s
     for interval in sorted(fit.intervals(), key=lambda each: each.cause.name):
-        cause, values = interval.cause, fitted_values(interval)
-        row = Explained(
-            cause=cause.name,
-            text=_text(cause, interval.group.label, values, step_s),
-            share=problem.share(fit),
-            unit=cause.unit,
-            values=tuple(values),
-        )
+        cause, values = interval.cause, tuple(fitted_values(interval))
+        text = _text(cause, interval.group.label, values, step_s)
+        row = Explained(cause.name, text, problem.share(fit), cause.unit, values)
         explained.append(row)
     return explained
 
@@ -341,14 +330,15 @@ def _text(cause: Cause, label: str, values: Sequence[Value], step_s: float) -> s
         return f"{name}: {label}"
     value, numbers = values[0], [each.fitted for each in values]
     if name == "delay":
-        return (
-            f"delay of {value.fitted / step_s:.2g} steps ({1e3 * value.fitted:.3g} ms)"
-        )
+        steps = f"{value.fitted / step_s:.2g}"
+        plural = "" if steps == "1" else "s"
+        return f"delay of {steps} step{plural} ({1e3 * value.fitted:.3g} ms)"
     if len(values) == 1:
         now = "no limit" if value.present is None else f"{value.present:.3g}"
         return f"{name} of {value.parameter}: {value.fitted:.3g}{unit} (now {now})"
     if len(values) > 3:
-        return f"{name} of {label}: {min(numbers):.2g} to {max(numbers):.2g}{unit}"
+        ends = dict.fromkeys(f"{end:.2g}" for end in (min(numbers), max(numbers)))
+        return f"{name} of {label}: {' to '.join(ends)}{unit}"
     texts = [f"{each.parameter} {each.fitted:.3g}" for each in values]
     return f"{name}: {', '.join(texts)}{unit}"
 
@@ -372,7 +362,7 @@ def _physics(line: ExplanationLine) -> Iterator[str]:
             names = " and ".join(each.cause for each in several)
             texts += f"; together {names}, {_percent(several[-1].share)} %"
         yield f"Nothing in the list explains it ({texts})."
-        yield f"The error is {times:.0f} times the noise."
+        yield f"The error is {_times(times)} times the noise."
         return
     texts = " and ".join(each.text for each in line.named)
     is_part = line.verdict is ReplayVerdict.PART
@@ -386,9 +376,14 @@ def _physics(line: ExplanationLine) -> Iterator[str]:
         f"prediction of {trial.joint} {_milli(trial.before)} to {_milli(trial.after)} {trial.unit}."
     )
     if is_part:
-        yield f"Something outside the list remains: {times:.1f} times the noise."
+        yield f"Something outside the list remains: {_times(times)} times the noise."
     elif times > 2.0:
-        yield f"{times:.0f} times the noise is left; nothing in the list explains that."
+        yield f"{_times(times)} times the noise is left; nothing in the list explains that."
+
+
+def _times(ratio: float) -> str:
+    """Return a ratio with a digit after the point below ten."""
+    return f"{ratio:.1f}" if ratio < 9.95 else f"{ratio:.0f}"
 
 
 def replay_document(line: ExplanationLine) -> Document:

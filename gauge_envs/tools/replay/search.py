@@ -60,7 +60,7 @@ MAX_BASES = 2
 """Number of fits of one cause to which a second one is added."""
 MIN_SECOND = 0.02
 """Relative decrease of the error that a cause must bring alone to be fitted as a second one."""
-LOSSES = ("armature", "dry friction", "damping")
+LOSSES = {"armature", "dry friction", "damping"}
 """What every drive has, and a published model often lacks."""
 
 
@@ -89,7 +89,7 @@ def try_cause(problem: Problem, cause: Cause, base: Fit) -> list[Fit]:
     if not cause.starts:
         grid, reach = np.zeros(1), np.full(1, np.inf)
     fits = []
-    for row, group in product(range(len(grid)), cause.groups):
+    for row, group in product(range(len(grid)), cause.groups or singles):
         total = moved[row] @ group.selection.sum(axis=1)
         if not cause.parameters:
             total = change(group, 0.0)
@@ -135,14 +135,14 @@ def best_fits(problem: Problem, screened: Sequence[Fit]) -> list[Fit]:
             fits.append(problem.predict(fit))
         if problem.excess(fits[-1]) < NEAR_NOISE:
             limit = min(limit, MAX_WORSE * fit.linear_error)
-    leading = _few_by_cause(problem, fits, 1)[:MAX_POLISHED]
+    leading = _few_by_cause(problem, fits)[:MAX_POLISHED]
     for fit in leading:
         if len(fit.numbers):
             fits.append(problem.minimize(fit, measure=True))
     return sorted(fits, key=problem.cost)
 
 
-def _few_by_cause(problem: Problem, fits: Sequence[Fit], count: int) -> list[Fit]:
+def _few_by_cause(problem: Problem, fits: Sequence[Fit], count: int = 1) -> list[Fit]:
     """Return at most `count` fits of each set of causes, one a group, sorted by cost."""
     few: list[Fit] = []
     labels_by_causes: dict[frozenset[str], set[tuple[str, ...]]] = defaultdict(set)
@@ -276,7 +276,7 @@ def _is_claim(problem: Problem, fit: Fit) -> bool:
 
 def _is_drive(fit: Fit) -> bool:
     """Return whether a fit has only what every drive has."""
-    return {*fit.names} <= {*LOSSES}
+    return {*fit.names} <= LOSSES
 
 
 def _predicts(problem: Problem) -> bool:
@@ -300,7 +300,7 @@ def explain(
         replayer.leave_out(odd)
         clean = Problem(replayer, problem.setup, floor=problem.floor)
         return explain(clean, causes, advance)
-    alone = _few_by_cause(problem, fits, 1)
+    alone = _few_by_cause(problem, fits)
     names = _find_equal(problem, alone)
     bases = [*alone]
     judge, alone[0] = problem.lengthened(alone[0])
@@ -313,7 +313,7 @@ def explain(
     if judge.excess(alone[0]) > limit:
         advance("several together")
         together = _fit_pairs(problem, bases, _second_causes(problem, screened))
-        together = _few_by_cause(problem, together, 1)
+        together = _few_by_cause(problem, together)
         pairs = _find_equal(problem, together)
         judge, together[0] = problem.lengthened(together[0])
         together = judge.judged(together, pairs)
