@@ -15,8 +15,7 @@ from gauge_envs.pages.document import Document, Paragraph, Tone
 from gauge_envs.pages.table import Column, Table
 from gauge_envs.tools.replay.causes import Cause, ParameterGroup, candidates
 from gauge_envs.tools.replay.fit import (
-    VALUE_COUNT,
-    VALUE_S,
+    THRESHOLDS,
     Fit,
     Problem,
     all_halves,
@@ -35,9 +34,6 @@ from gauge_envs.tools.replay.paste import Change
 from gauge_envs.tools.replay.report import fitted_values
 from gauge_envs.tools.replay.schema import ConstantsLine, Value
 
-MAX_WIDTH = 2.0
-"""Half of the 95 % interval of a constant, over its value or the typical one, up to which the logs determine it: with
-a standard error above its value, it predicts worse than the present value."""
 ATTRIBUTES = {"frictionloss": "dry friction", "kv": "kd", "forcerange": "effort limit"}
 """Causes by the name of their attribute in MJCF."""
 
@@ -106,8 +102,8 @@ def fit_constants(
     """
     problems = []
     for replayer, setup in pairs:
-        piece_s = min(VALUE_S, 0.25 * replayer.longest_s())
-        count = VALUE_COUNT
+        piece_s = min(THRESHOLDS.value_s, 0.25 * replayer.longest_s())
+        count = THRESHOLDS.value_count
         problems.append(Problem(replayer, setup, piece_s=piece_s, count=count))
     terms = _terms(problems[0], names, joints)
     unknown: list[str] = []
@@ -142,7 +138,7 @@ def _undetermined(fit: Fit) -> dict[str, str]:
         width = (high - fitted) / np.maximum(np.abs(fitted), cause.scale)
         for row in np.argmax(group.selection, axis=0).tolist():
             parameter, found = cause.parameters[row], (width[row], cause.name)
-            if width[row] > MAX_WIDTH:
+            if width[row] > THRESHOLDS.max_width:
                 widest[parameter] = max(widest.get(parameter, found), found)
     return {parameter: cause for parameter, (_width, cause) in widest.items()}
 

@@ -1,8 +1,4 @@
-"""Fits of causes: numbers, residuals on pieces of the log that they have seen and have not, and intervals.
-
-`studies/replay` counts right answers on planted faults with the numbers here and in `search`. An error is a mean
-squared residual over that of the noise: 1 for a right model. The excess is the error minus that of a perfect model.
-"""
+"""Fits of causes: numbers, residuals on pieces of the log that they have seen and have not, and intervals."""
 
 from __future__ import annotations
 
@@ -21,51 +17,111 @@ from gauge_envs.tools.replay.model import IntArray, Replayer, Setup
 
 NO_NUMBERS = np.zeros(0)
 
-PIECE_S = 0.25
-"""Length of the predictions that are fitted first [s]."""
-PIECE_COUNT = 28
-"""Number of these pieces; every other one is held out."""
-SCREENING_COUNT = 4
-"""Number of the fitted pieces that screen the causes, from small to large errors."""
-SCREENING_DOFS = 3
-"""Degrees of freedom up to which all of them do."""
-VALUE_S = 1.0
-VALUE_COUNT = 20
-"""Length and number of the pieces that give the values of the fit that is named, or of constants."""
-LONG_COUNT = 4
-"""Number of the long pieces by which the best fits are judged."""
-MAX_LONG_S = 3.0
-"""Length of the longest of them."""
-ODD_ERROR = 25.0
-"""Error of a piece over the median one from which on it is odd."""
-MAX_ODD = 0.1
-"""Largest fraction of the pieces that are left out as odd."""
-MAX_EXCESS_OF_SEVERAL = 2.0
-"""Largest excess of several causes that are named."""
-MAX_GROWTH = 2.0
-"""Largest excess of a fit on longer pieces, over that on short ones; and of a cause that the log cannot tell from the
-best one, over that of this one."""
-MIN_SEEN = 0.5
-"""Smallest error of the model on longer pieces, over that on short ones."""
-NEAR_NOISE = 0.5
-"""Excess up to which no second cause is fitted, and a fit counts as one that reached the noise."""
-NUMBER_COST = 0.01
-"""Part of the error that one more number of a fit must remove."""
-MAX_POLISHED = 3
-"""Number of the best fits that get measured slopes and intervals."""
-MIN_HOPE = 0.5
-"""Share below which a fit is not judged by longer pieces, and no further base is tried for pairs."""
-MAX_PREDICTIONS = 20
-"""Largest number of predictions of one least-squares fit."""
-MAX_STEPS = 130_000
-"""Number of physics steps that the noise of long pieces may cost; that of the pieces that give values may cost twice
-as many. Above, the pieces are shorter."""
-MIN_GAIN = 0.002
-"""Relative decrease of the training error below which least squares ends."""
-MIN_STEP = 1e-3
-"""Relative step of the numbers below which least squares ends."""
-SLOPE_STEP = 0.1
-"""Step of finite differences. Contacts make the residuals rough, and smaller steps measure that roughness."""
+
+@dataclass(frozen=True, kw_only=True)
+class Thresholds:
+    """What decides which causes are fitted, and which are named.
+
+    `studies/replay` counts right answers with these numbers on planted faults. An error is a mean squared residual over
+    that of the noise: 1 for a right model. The excess is the error minus that of a perfect model.
+
+    Attributes:
+        piece_s: Length of the predictions that are fitted first [s].
+        piece_count: Number of these pieces; every other one is held out.
+        screening_count: Number of the fitted pieces that screen the causes, from small to large errors.
+        screening_dofs: Degrees of freedom up to which all of them do.
+        value_s, value_count: Length and number of the pieces that give the values of the fit that is named, or of
+            constants.
+        long_count: Number of the long pieces by which the best fits are judged.
+        max_long_s: Length of the longest of them.
+        max_noise_error: Error below which nothing is left to explain.
+        max_misfit: Logarithm of the error over that of constant velocity or no motion, below which a model is no worse.
+        odd_error: Error of a piece over the median one from which on it is odd.
+        max_odd: Largest fraction of the pieces that are left out as odd.
+        min_share: Smallest share of the excess that a named cause explains, near the noise.
+        min_claim: The same farther from the noise: a cause outside of the list often looks like one of it by 98 %.
+        min_part: Smallest share of a cause that is named in part.
+        about_as_good: Excess of losses and armature over the smallest one, up to which they are preferred.
+        max_excess: Largest excess of a named cause, unless it leads.
+        min_lead: Excess of every other cause over that of a cause that leads.
+        max_excess_of_several: Largest excess of several causes that are named.
+        max_ratio_of_several: Largest excess of several causes that are named, over that of the best single cause.
+        enough_share: Share of one cause above which a second one is fitted only above `max_excess_of_several`.
+        equal_gap: Difference of errors over the excess of the model, up to which causes are equal in each piece.
+        min_share_of_equal: Smallest share of a cause that the log cannot tell from the best one, over that of this one.
+        significance: Probability of a signed-rank test below which a cause is worse than the best one.
+        max_growth: Largest excess of a fit on longer pieces, over that on short ones; and of a cause that the log
+            cannot tell from the best one, over that of this one.
+        min_seen: Smallest error of the model on longer pieces, over that on short ones.
+        min_lead_of_convention: Difference of misfits [nat] from which on causes explain a log better than another
+            convention.
+        min_correlation: Correlation of the commands from which on a second log is a repeat of the first.
+        max_width: Half of the 95 % interval of a constant, over its value or the typical one, up to which the logs
+            determine it: with a standard error above its value, it predicts worse than the present value.
+        near_noise: Excess up to which no second cause is fitted, and a fit counts as one that reached the noise.
+        number_cost: Part of the error that one more number of a fit must remove.
+        max_groups: Number of groups of each cause that are fitted.
+        max_refined: Number of fits of one cause, and of two, that are refined.
+        max_worse: Largest linear error of a fit that is refined, over that of a fit that reached the noise.
+        max_polished: Number of the best fits that get measured slopes and intervals.
+        max_bases: Number of fits of one cause to which a second one is added.
+        min_hope: Share below which a fit is not judged by longer pieces, and no further base is tried for pairs.
+        min_second: Relative decrease of the error that a cause must bring alone to be fitted as a second one.
+        max_predictions: Largest number of predictions of one least-squares fit.
+        max_steps: Number of physics steps that the noise of long pieces may cost; that of the pieces that give values
+            may cost twice as many. Above, the pieces are shorter.
+        min_gain: Relative decrease of the training error below which least squares ends.
+        min_step: Relative step of the numbers below which least squares ends.
+        slope_step: Step of finite differences. Contacts make the residuals rough, and smaller steps measure that
+            roughness.
+    """
+
+    piece_s: float = 0.25
+    piece_count: int = 28
+    screening_count: int = 4
+    screening_dofs: int = 3
+    value_s: float = 1.0
+    value_count: int = 20
+    long_count: int = 4
+    max_long_s: float = 3.0
+    max_noise_error: float = 1.3
+    max_misfit: float = 0.4
+    odd_error: float = 25.0
+    max_odd: float = 0.1
+    min_share: float = 0.9
+    min_claim: float = 0.995
+    min_part: float = 0.85
+    about_as_good: float = 1.5
+    max_excess: float = 8.0
+    min_lead: float = 5.0
+    max_excess_of_several: float = 2.0
+    max_ratio_of_several: float = 0.4
+    enough_share: float = 0.99
+    equal_gap: float = 1e-3
+    min_share_of_equal: float = 0.5
+    significance: float = 0.05
+    max_growth: float = 2.0
+    min_seen: float = 0.5
+    min_lead_of_convention: float = 0.5
+    min_correlation: float = 0.99
+    max_width: float = 2.0
+    near_noise: float = 0.5
+    number_cost: float = 0.01
+    max_groups: int = 3
+    max_refined: int = 10
+    max_worse: float = 4.0
+    max_polished: int = 3
+    max_bases: int = 2
+    min_hope: float = 0.5
+    min_second: float = 0.02
+    max_predictions: int = 20
+    max_steps: int = 130_000
+    min_gain: float = 0.002
+    min_step: float = 1e-3
+    slope_step: float = 0.1
+
+
+THRESHOLDS = Thresholds()
 
 
 def _no_numbers() -> FloatArray:
@@ -202,8 +258,8 @@ class Problem:
         setup: Setup,
         *,
         noisy: Setup | None = None,
-        piece_s: float = PIECE_S,
-        count: int = PIECE_COUNT,
+        piece_s: float = THRESHOLDS.piece_s,
+        count: int = THRESHOLDS.piece_count,
         floor: float = 1.0,
     ) -> None:
         self.replayer, self.setup, self.floor = replayer, setup, floor
@@ -216,8 +272,8 @@ class Problem:
         self.whiteners = [_whitener(each) for each in self._covariances]
         self.before = self.predict(Fit())
         errors = np.mean(self.before.training**2, axis=1)
-        fraction = SCREENING_DOFS / len(replayer.dofs)
-        few = max(SCREENING_COUNT, round(fraction * len(errors)))
+        fraction = THRESHOLDS.screening_dofs / len(replayer.dofs)
+        few = max(THRESHOLDS.screening_count, round(fraction * len(errors)))
         places = np.linspace(0, len(errors) - 1, min(few, len(errors)))
         self.screening = np.sort(np.argsort(errors)[places.round().astype(int)])
         self._halves.append(self._halves[0][self.screening])
@@ -231,24 +287,27 @@ class Problem:
         A cause may change how the noise propagates: feet that slip keep a velocity, and feet that stick lose it. The
         problem itself is returned if the fit predicts no pieces, or if their noise hides the error of the model.
         """
-        if self.share(fit) < MIN_HOPE:
+        if self.share(fit) < THRESHOLDS.min_hope:
             return self, fit
-        noisy, count = fit.change(self.setup), LONG_COUNT
+        noisy, count = fit.change(self.setup), THRESHOLDS.long_count
         length_s = min(
             self.replayer.longest_s() / count,
-            MAX_LONG_S,
+            THRESHOLDS.max_long_s,
             self.max_total_s() / count,
         )
         # The pieces are few: hardly longer ones say less than the many short ones.
-        while length_s > 2.0 * PIECE_S and self.floor == 1.0:
+        while length_s > 2.0 * THRESHOLDS.piece_s and self.floor == 1.0:
             problem = Problem(
                 self.replayer, self.setup, noisy=noisy, piece_s=length_s, count=count
             )
-            is_seen = problem.before.error > MIN_SEEN * self.before.error
+            is_seen = problem.before.error > THRESHOLDS.min_seen * self.before.error
             problem.weight = self.excess(self.before) / problem.excess(problem.before)
             (long,) = problem.judged([fit], [fit.label])
             # A chaotic motion is missed more and more.
-            limit = MAX_GROWTH * max(self.excess(fit), 0.0) + NEAR_NOISE
+            limit = (
+                THRESHOLDS.max_growth * max(self.excess(fit), 0.0)
+                + THRESHOLDS.near_noise
+            )
             if is_seen and problem.excess(long) < limit:
                 return problem, long
             length_s *= 0.5
@@ -256,13 +315,13 @@ class Problem:
 
     def for_values(self, fit: Fit) -> Problem:
         """Return the problem whose pieces give the values of a fit; no longer than those that judge it."""
-        count = VALUE_COUNT
-        length_s = min(VALUE_S, 2.0 * self.max_total_s() / count)
+        count = THRESHOLDS.value_count
+        length_s = min(THRESHOLDS.value_s, 2.0 * self.max_total_s() / count)
         return Problem(
             self.replayer,
             self.setup,
             noisy=fit.change(self.setup),
-            piece_s=min(self.piece_s, max(length_s, PIECE_S)),
+            piece_s=min(self.piece_s, max(length_s, THRESHOLDS.piece_s)),
             count=count,
             floor=self.floor,
         )
@@ -292,7 +351,7 @@ class Problem:
 
     def max_total_s(self) -> float:
         """Return the length of all pieces together whose noise costs `max_steps`."""
-        steps = MAX_STEPS / self.replayer.noise_predictions
+        steps = THRESHOLDS.max_steps / self.replayer.noise_predictions
         return steps * self.setup.step_s
 
     def judged(self, fits: Sequence[Fit], names: Sequence[str]) -> list[Fit]:
@@ -305,22 +364,25 @@ class Problem:
         for index, fit in enumerate(fits):
             judged = self.predict(fit)
             is_rival = fit.label in names
-            is_far = judged.error > self.floor * (1.0 + NEAR_NOISE)
-            is_few = index < MAX_POLISHED
+            is_far = judged.error > self.floor * (1.0 + THRESHOLDS.near_noise)
+            is_few = index < THRESHOLDS.max_polished
             if is_rival and is_few and is_far and len(fit.numbers):
                 again = self.minimize(judged, measure=True)
                 judged = min(judged, again, key=self.cost)
             found.append(judged)
 
         def rank(fit: Fit) -> tuple[float, int, float]:
-            excess = max(self.excess(fit), NEAR_NOISE)
+            excess = max(self.excess(fit), THRESHOLDS.near_noise)
             return excess, len(fit.numbers), self.cost(fit)
 
         return sorted(found, key=rank)
 
     def still_equal(self, fits: Sequence[Fit], names: Sequence[str]) -> list[str]:
         """Return the names whose fits on these pieces are as good as the first one."""
-        limit = MAX_GROWTH * max(self.excess(fits[0]), 0.0) + MAX_EXCESS_OF_SEVERAL
+        limit = (
+            THRESHOLDS.max_growth * max(self.excess(fits[0]), 0.0)
+            + THRESHOLDS.max_excess_of_several
+        )
         found = {fit.label: fit for fit in fits[1:]}
         return [
             name for name in names if name in found and self.excess(found[name]) < limit
@@ -332,8 +394,8 @@ class Problem:
         errors = np.concatenate(
             [np.mean(each**2, axis=1) for each in (fit.training, fit.held_out)]
         )
-        is_odd = errors > ODD_ERROR * max(np.median(errors), self.floor)
-        return pieces[is_odd & (is_odd.mean() < MAX_ODD)]
+        is_odd = errors > THRESHOLDS.odd_error * max(np.median(errors), self.floor)
+        return pieces[is_odd & (is_odd.mean() < THRESHOLDS.max_odd)]
 
     def residuals(self, fit: Fit, half: int) -> FloatArray:
         """Return the whitened residuals of a half, shape [P, T D]: training, held out or screening (2)."""
@@ -374,7 +436,7 @@ class Problem:
 
     def cost(self, fit: Fit) -> float:
         """Return the error of a fit, and what its numbers must bring."""
-        return fit.error * (1.0 + NUMBER_COST * len(fit.numbers))
+        return fit.error * (1.0 + THRESHOLDS.number_cost * len(fit.numbers))
 
 
 def _whitener(covariance: FloatArray) -> FloatArray:
@@ -405,9 +467,9 @@ def least_residuals(
         return latest[1]
 
     def measured(change: FloatArray) -> FloatArray:
-        steps = SLOPE_STEP * np.eye(len(change))
+        steps = THRESHOLDS.slope_step * np.eye(len(change))
         moved = [residuals(change + step) - remembered(change) for step in steps]
-        return np.transpose(moved) / SLOPE_STEP
+        return np.transpose(moved) / THRESHOLDS.slope_step
 
     # The first step of least squares is as large as what it begins with, or 1 for zeros: a change, and no number.
     start = np.zeros(len(fit.numbers))
@@ -417,9 +479,9 @@ def least_residuals(
         measured if slopes is None else lambda _: slopes,
         bounds=fit.room,
         method="dogbox",
-        ftol=MIN_GAIN,
-        xtol=MIN_STEP,
-        max_nfev=MAX_PREDICTIONS,
+        ftol=THRESHOLDS.min_gain,
+        xtol=THRESHOLDS.min_step,
+        max_nfev=THRESHOLDS.max_predictions,
     )
     found.x += fit.numbers
     return found

@@ -15,7 +15,7 @@ from gauge_envs.pages.document import Document, Paragraph, Part, Tone
 from gauge_envs.pages.table import Column, Table
 from gauge_envs.tools.replay.causes import ZERO, Cause, candidates
 from gauge_envs.tools.replay.conventions import check_base, find_conventions
-from gauge_envs.tools.replay.fit import PIECE_COUNT, Fit, Interval, Problem
+from gauge_envs.tools.replay.fit import THRESHOLDS, Fit, Interval, Problem
 from gauge_envs.tools.replay.log import FloatArray, Log, LogMap
 from gauge_envs.tools.replay.model import (
     UNLIMITED,
@@ -46,10 +46,6 @@ from gauge_envs.tools.replay.search import Explanation, explain
 
 HORIZONS_S = {0.0: 200, 0.1: 150, 0.5: 60}
 """Lengths of the predictions of the table, and their number; the first is one interval of the log."""
-MIN_LEAD_OF_CONVENTION = 0.5
-"""Difference of misfits [nat] from which on causes explain a log better than another convention."""
-MIN_CORRELATION = 0.99
-"""Correlation of the commands from which on a second log is a repeat of the first."""
 NOISE_PIECES = 3
 TRIAL_S = 0.5
 MAX_ROWS = 12
@@ -117,7 +113,7 @@ def replay(
             # A cause may explain as well what another convention does.
             others = read(given)
             other, misfit_of_other = _explain(others, compiled, advance)
-            if misfit > misfit_of_other + MIN_LEAD_OF_CONVENTION:
+            if misfit > misfit_of_other + THRESHOLDS.min_lead_of_convention:
                 logs, explanation, mistakes = others, other, []
         sentences = _policy_side(logs, compiled, policy)
         line = _line(logs, model.name, explanation, mistakes, sentences)
@@ -233,7 +229,7 @@ def _line(
 def _try_change(problem: Problem, change: Fit) -> Trial:
     """Return the error of predictions before and after a change, of the joint that is worst before."""
     replayer = problem.replayer
-    pieces = replayer.pieces(TRIAL_S, 2 * PIECE_COUNT, outputs=1)[1::2]
+    pieces = replayer.pieces(TRIAL_S, 2 * THRESHOLDS.piece_count, outputs=1)[1::2]
     setups = problem.setup, change.change(problem.setup)
     before, after = (
         _rms(replayer.predict(each, pieces)[:, 0, replayer.is_joint]) for each in setups
@@ -290,7 +286,7 @@ def _repeat(first: Log, second: Log) -> Sequence[float] | None:
         make_interp_spline(log.command_time_s, log.command, k=1)(time_s).ravel()
         for log in (first, second)
     ]
-    if np.corrcoef(*commands)[0, 1] < MIN_CORRELATION:
+    if np.corrcoef(*commands)[0, 1] < THRESHOLDS.min_correlation:
         return None
     repeated = make_interp_spline(first.time_s, first.position, k=1)(time_s)
     return _rms(repeated - second.position[common]).tolist()

@@ -11,55 +11,10 @@ import numpy as np
 from scipy.stats import wilcoxon
 
 from gauge_envs.tools.replay.causes import Cause, ParameterGroup, groups_of
-from gauge_envs.tools.replay.fit import (
-    MAX_EXCESS_OF_SEVERAL,
-    MAX_POLISHED,
-    MIN_HOPE,
-    NEAR_NOISE,
-    SLOPE_STEP,
-    Fit,
-    Problem,
-    fit_values,
-)
+from gauge_envs.tools.replay.fit import THRESHOLDS, Fit, Problem, fit_values
 from gauge_envs.tools.replay.log import FloatArray
 from gauge_envs.tools.replay.schema import ReplayVerdict
 
-MAX_NOISE_ERROR = 1.3
-"""Error below which nothing is left to explain."""
-MAX_MISFIT = 0.4
-"""Logarithm of the error over that of constant velocity or no motion, below which a model is no worse."""
-MIN_SHARE = 0.9
-"""Smallest share of the excess that a named cause explains, near the noise."""
-MIN_CLAIM = 0.995
-"""The same farther from the noise: a cause outside of the list often looks like one of it by 98 %."""
-MIN_PART = 0.85
-"""Smallest share of a cause that is named in part."""
-ABOUT_AS_GOOD = 1.5
-"""Excess of losses and armature over the smallest one, up to which they are preferred."""
-MAX_EXCESS = 8.0
-"""Largest excess of a named cause, unless it leads."""
-MIN_LEAD = 5.0
-"""Excess of every other cause over that of a cause that leads."""
-MAX_RATIO_OF_SEVERAL = 0.4
-"""Largest excess of several causes that are named, over that of the best single cause."""
-ENOUGH_SHARE = 0.99
-"""Share of one cause above which a second one is fitted only above `MAX_EXCESS_OF_SEVERAL`."""
-EQUAL_GAP = 1e-3
-"""Difference of errors over the excess of the model, up to which causes are equal in each piece."""
-MIN_SHARE_OF_EQUAL = 0.5
-"""Smallest share of a cause that the log cannot tell from the best one, over that of this one."""
-SIGNIFICANCE = 0.05
-"""Probability of a signed-rank test below which a cause is worse than the best one."""
-MAX_GROUPS = 3
-"""Number of groups of each cause that are fitted."""
-MAX_REFINED = 10
-"""Number of fits of one cause, and of two, that are refined."""
-MAX_WORSE = 4.0
-"""Largest linear error of a fit that is refined, over that of a fit that reached the noise."""
-MAX_BASES = 2
-"""Number of fits of one cause to which a second one is added."""
-MIN_SECOND = 0.02
-"""Relative decrease of the error that a cause must bring alone to be fitted as a second one."""
 LOSSES = {"armature", "dry friction", "damping"}
 """What every drive has, and a published model often lacks."""
 
@@ -79,7 +34,7 @@ def try_cause(problem: Problem, cause: Cause, base: Fit) -> list[Fit]:
     def change(group: ParameterGroup, number: float) -> FloatArray:
         return problem.residuals(extended(group, number), 2) - screened
 
-    grid = np.sort(cause.starts or (0.0, SLOPE_STEP))
+    grid = np.sort(cause.starts or (0.0, THRESHOLDS.slope_step))
     singles = groups_of(len(cause.parameters))
     moved = np.zeros((len(grid), *screened.shape, len(singles)))
     for row in np.flatnonzero(grid).tolist():
@@ -127,15 +82,15 @@ def best_fits(problem: Problem, screened: Sequence[Fit]) -> list[Fit]:
     """
     limit = np.inf
     fits: list[Fit] = []
-    few = _few_by_cause(problem, screened, MAX_GROUPS)
-    for fit in few[:MAX_REFINED]:
+    few = _few_by_cause(problem, screened, THRESHOLDS.max_groups)
+    for fit in few[: THRESHOLDS.max_refined]:
         if fit.linear_error < limit and len(fit.numbers):
             fits.append(problem.minimize(fit, measure=False))
         else:
             fits.append(problem.predict(fit))
-        if problem.excess(fits[-1]) < NEAR_NOISE:
-            limit = min(limit, MAX_WORSE * fit.linear_error)
-    leading = _few_by_cause(problem, fits)[:MAX_POLISHED]
+        if problem.excess(fits[-1]) < THRESHOLDS.near_noise:
+            limit = min(limit, THRESHOLDS.max_worse * fit.linear_error)
+    leading = _few_by_cause(problem, fits)[: THRESHOLDS.max_polished]
     for fit in leading:
         if len(fit.numbers):
             fits.append(problem.minimize(fit, measure=True))
@@ -179,14 +134,16 @@ class Explanation:
 def _find_equal(problem: Problem, fits: Sequence[Fit]) -> list[str]:
     """Return the first cause, and those that the held-out pieces cannot tell from it (signed ranks, 5 %)."""
     best, *others = fits
-    small = EQUAL_GAP * (problem.before.error - problem.floor)
+    small = THRESHOLDS.equal_gap * (problem.before.error - problem.floor)
     names = [best.label]
     for fit in others:
         gap = np.mean(fit.held_out**2 - best.held_out**2, axis=1)
-        if problem.share(fit) <= MIN_SHARE_OF_EQUAL * problem.share(best):
+        if problem.share(fit) <= THRESHOLDS.min_share_of_equal * problem.share(best):
             continue
         is_equal = np.abs(gap).max() < small
-        is_equal |= wilcoxon(gap, alternative="greater").pvalue > SIGNIFICANCE
+        is_equal |= (
+            wilcoxon(gap, alternative="greater").pvalue > THRESHOLDS.significance
+        )
         if is_equal:
             names.append(fit.label)
     return names
@@ -195,7 +152,7 @@ def _find_equal(problem: Problem, fits: Sequence[Fit]) -> list[str]:
 def _second_causes(problem: Problem, screened: Sequence[Fit]) -> list[Cause]:
     """Return the causes that alone decrease the error, and the losses."""
     present = np.mean(problem.before.training[problem.screening] ** 2)
-    limit = (1.0 - MIN_SECOND) * present
+    limit = (1.0 - THRESHOLDS.min_second) * present
     useful = [
         fit.terms[0][0]
         for fit in screened
@@ -209,12 +166,12 @@ def _fit_pairs(
 ) -> list[Fit]:
     """Return fits of two causes: the best single ones with any other, then the last one of the best pair with any."""
     pairs: list[Fit] = []
-    for base in bases[:MAX_BASES]:
+    for base in bases[: THRESHOLDS.max_bases]:
         pairs += best_fits(problem, screen(problem, base, causes))
         best = min(pairs, key=problem.cost)
-        if problem.excess(best) < NEAR_NOISE:
+        if problem.excess(best) < THRESHOLDS.near_noise:
             return pairs
-        if problem.share(best) < MIN_HOPE:
+        if problem.share(best) < THRESHOLDS.min_hope:
             break
     *_, count = (group.size for _, group in best.terms)
     first = len(best.numbers) - count
@@ -232,10 +189,10 @@ def _fit_pairs(
 def _prefer_losses(problem: Problem, fits: Sequence[Fit]) -> Fit:
     """Return the best fit, or the best one of losses and armature if none reaches the noise and it is about as good."""
     best = fits[0]
-    if problem.excess(best) < MAX_EXCESS_OF_SEVERAL:
+    if problem.excess(best) < THRESHOLDS.max_excess_of_several:
         return best
     for fit in fits:
-        near = problem.excess(fit) < ABOUT_AS_GOOD * problem.excess(best)
+        near = problem.excess(fit) < THRESHOLDS.about_as_good * problem.excess(best)
         if near and _is_drive(fit):
             return fit
     return best
@@ -251,26 +208,26 @@ def _verdict(
     """
     best, *others = fits
     excess = problem.excess(best)
-    far_less = MAX_RATIO_OF_SEVERAL * excess
+    far_less = THRESHOLDS.max_ratio_of_several * excess
     if several and problem.excess(several) < far_less and _is_claim(problem, several):
-        is_near = problem.excess(several) < MAX_EXCESS_OF_SEVERAL
+        is_near = problem.excess(several) < THRESHOLDS.max_excess_of_several
         if is_near or _is_drive(several):
             return ReplayVerdict.SEVERAL, several
-    leads = all(problem.excess(fit) > MIN_LEAD * excess for fit in others)
-    if _is_claim(problem, best) and (leads or excess < MAX_EXCESS):
+    leads = all(problem.excess(fit) > THRESHOLDS.min_lead * excess for fit in others)
+    if _is_claim(problem, best) and (leads or excess < THRESHOLDS.max_excess):
         return ReplayVerdict.CAUSE, best
     change = best
     if several and (_is_drive(several) or problem.excess(several) < far_less):
         change = several
-    if problem.share(change) > MIN_PART:
+    if problem.share(change) > THRESHOLDS.min_part:
         return ReplayVerdict.PART, change
     return ReplayVerdict.NOTHING, several or best
 
 
 def _is_claim(problem: Problem, fit: Fit) -> bool:
     """Return whether a fit leaves so little of the error that its causes may be said to explain it."""
-    is_near = problem.excess(fit) < NEAR_NOISE
-    least = MIN_SHARE if is_near else MIN_CLAIM
+    is_near = problem.excess(fit) < THRESHOLDS.near_noise
+    least = THRESHOLDS.min_share if is_near else THRESHOLDS.min_claim
     return problem.share(fit) > least
 
 
@@ -281,10 +238,10 @@ def _is_drive(fit: Fit) -> bool:
 
 def _predicts(problem: Problem) -> bool:
     """Return whether the model predicts the log within its noise, and better than constant velocity and no motion."""
-    if problem.before.error >= MAX_NOISE_ERROR * problem.floor:
+    if problem.before.error >= THRESHOLDS.max_noise_error * problem.floor:
         return False
     misfit = problem.replayer.misfit(problem.setup, problem.pieces)
-    return bool(misfit.max() < MAX_MISFIT)
+    return bool(misfit.max() < THRESHOLDS.max_misfit)
 
 
 def explain(
@@ -306,9 +263,9 @@ def explain(
     judge, alone[0] = problem.lengthened(alone[0])
     alone = judge.judged(alone, names)
     names = judge.still_equal(alone, names)
-    limit = NEAR_NOISE
-    if judge.share(alone[0]) > ENOUGH_SHARE and judge is problem:
-        limit = MAX_EXCESS_OF_SEVERAL
+    limit = THRESHOLDS.near_noise
+    if judge.share(alone[0]) > THRESHOLDS.enough_share and judge is problem:
+        limit = THRESHOLDS.max_excess_of_several
     several: Fit | None = None
     if judge.excess(alone[0]) > limit:
         advance("several together")
