@@ -249,8 +249,9 @@ def is_alike(shown, word):
 def test_commands_print_the_screens_that_are_shown(
     page, command, screen, tmp_path, monkeypatch
 ):
-    """A line `...` stands for any lines."""
+    """A line `...` stands for any lines; cells do not wrap."""
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "120")
     (tmp_path / "examples").symlink_to(ROOT / "examples", target_is_directory=True)
     rest = tokens(CliRunner().invoke(app, shlex.split(command)).stdout)
     for part in screen.split("...\n"):
