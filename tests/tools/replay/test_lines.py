@@ -1,6 +1,7 @@
 """Lines to paste make the change when they are executed, and a verdict does not hang on how a log is written."""
 
 from functools import cache
+from itertools import product
 from xml.etree import ElementTree
 
 import numpy as np
@@ -177,18 +178,14 @@ PERMUTED = np.array([[0, 1, 0], [0, 0, 1], [1, 0, 0]])
 HALF_TURN = np.diag([-1, -1, 1])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("turn", "part", "axes"),
     [
         (Y_UP, "axes", "x -z y"),
-        *(
-            pytest.param(*row, marks=pytest.mark.slow)
-            for row in (
-                (PERMUTED, "axes", "z x y"),
-                (HALF_TURN, "axes", "-x -y z"),
-                (Y_UP, "position_axes", "x -z y"),
-            )
-        ),
+        (PERMUTED, "axes", "z x y"),
+        (HALF_TURN, "axes", "-x -y z"),
+        (Y_UP, "position_axes", "x -z y"),
     ],
 )
 def test_the_line_of_axes_repairs_the_base(tmp_path, turn, part, axes):
@@ -208,19 +205,16 @@ def test_the_line_of_axes_repairs_the_base(tmp_path, turn, part, axes):
     assert (after.mistakes, after.verdict) == ((), ReplayVerdict.NOISE)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "change",
     [
-        pytest.param(lambda target: target[:, ::-1], id="exchanged"),
-        *(
-            pytest.param(change, id=name, marks=pytest.mark.slow)
-            for name, change in (
-                ("sign", lambda target: target * [1.0, -1.0]),
-                ("scale", lambda target: target * [0.5, 1.0]),
-                ("offset", lambda target: target + np.array([0.0, 0.3])),
-            )
-        ),
+        lambda target: target[:, ::-1],
+        lambda target: target * [1.0, -1.0],
+        lambda target: target * [0.5, 1.0],
+        lambda target: target + np.array([0.0, 0.3]),
     ],
+    ids=["exchanged", "sign", "scale", "offset"],
 )
 def test_the_lines_of_commands_repair_them(tmp_path, change):
     log, model = record(tmp_path)
@@ -274,15 +268,13 @@ def frictions(tmp_path_factory):
     return explained
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("robot", "writing"),
     [
         ("servo", "clock"),
-        pytest.param("swing", "clock", marks=pytest.mark.slow),
-        *(
-            pytest.param("arm", writing, marks=pytest.mark.slow)
-            for writing in ("clock", "columns", "unit", "half")
-        ),
+        ("swing", "clock"),
+        *product(["arm"], ["clock", "columns", "unit", "half"]),
     ],
 )
 def test_a_verdict_does_not_hang_on_how_a_log_is_written(
