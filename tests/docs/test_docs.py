@@ -219,6 +219,10 @@ SCREENS = [
 ]
 
 
+SLOW = ("replay", "sanity examples")
+"""Starts of commands that take seconds."""
+
+
 def tokens(text):
     """Numbers, words and signs of a text, without the speed of a fix, which depends on the machine."""
     text = re.sub(r"; (?:as fast|\S+ % (?:faster|slower))$", "", text, flags=re.M)
@@ -241,7 +245,7 @@ def is_alike(shown, word):
             command,
             screen,
             id=command,
-            marks=[pytest.mark.slow] if command.startswith("replay") else [],
+            marks=[pytest.mark.slow] if command.startswith(SLOW) else [],
         )
         for page, command, screen in SCREENS
     ],

@@ -78,9 +78,8 @@ def test_u_covers_the_true_error_and_the_reference_scores_runs(
     assert solves(timestep_s=1 / 180) == ("no" if change is falling else "yes")
 
 
-@pytest.mark.parametrize(
-    "material", ["wood", pytest.param("plastic", marks=pytest.mark.slow)]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("material", ["wood", "plastic"])
 def test_u_covers_the_creep_of_soft_contacts(material, gauge, tmp_path):
     """Coulomb's law holds a cube on a slow turntable; in MuJoCo it creeps outward."""
     name = f"Turntable-1-{material}"

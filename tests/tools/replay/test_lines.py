@@ -291,6 +291,7 @@ def test_a_verdict_does_not_hang_on_how_a_log_is_written(
     check_equal(before, after)
 
 
+@pytest.mark.slow
 def test_losses_of_a_swing_are_named_together(frictions):
     """Pieces of 0.25 s show dry friction alone; a long rollout needs damping too."""
     _, line = frictions("swing")
