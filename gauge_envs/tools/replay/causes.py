@@ -6,7 +6,6 @@ import copy
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from operator import attrgetter
 from typing import Any
 
 import mujoco
@@ -120,10 +119,21 @@ class Cause:
 
 
 def _field_cause(
-    setup: Setup, path: str, rows: Any, sign: float = 1.0, **fields: Any
+    setup: Setup,
+    field: Callable[[Setup], FloatArray],
+    rows: Any,
+    sign: float = 1.0,
+    **fields: Any,
 ) -> Cause:
-    """Return a cause whose values are elements of a field of a setup, as `model.dof_armature`, times a sign."""
-    field = attrgetter(path)
+    """Return a cause whose values are elements of an array of a setup, times a sign.
+
+    Args:
+        setup: The present setup.
+        field: Returns the array of a setup.
+        rows: Index of the elements.
+        sign: Sign of the elements in the array.
+        **fields: Fields of `Cause`; `apply` writes the elements by default.
+    """
 
     def assign(changed: Setup, values: FloatArray) -> None:
         table = field(changed)
@@ -201,19 +211,19 @@ def _losses(
     )
     return [
         joint_cause(
-            "model.dof_armature",
+            lambda changed: changed.model.dof_armature,
             name="armature",
             unit="kg m^2",
             typical=0.3 * model.dof_M0[dofs],
         ),
         joint_cause(
-            "model.dof_frictionloss",
+            lambda changed: changed.model.dof_frictionloss,
             name="dry friction",
             unit="N m",
             typical=0.1 * load,
         ),
         joint_cause(
-            "model.dof_damping",
+            lambda changed: changed.model.dof_damping,
             name="damping",
             unit="N m s/rad",
             typical=0.3 * load / speed,
@@ -227,7 +237,7 @@ def _stops(replayer: Replayer, setup: Setup) -> Cause:
     lower, upper = [0], [1]
     return _field_cause(
         setup,
-        "model.jnt_range",
+        lambda changed: changed.model.jnt_range,
         (ids, np.array([lower, upper])),
         name="joint limit",
         unit="rad",
@@ -296,7 +306,7 @@ def _bodies(setup: Setup) -> list[Cause]:
         ),
         _field_cause(
             setup,
-            "model.body_ipos",
+            lambda changed: changed.model.body_ipos,
             bodies,
             name="mass or centre of a link",
             unit="m",
@@ -344,7 +354,7 @@ def _drives(
 
     causes = [
         joint_cause(
-            "model.actuator_forcerange",
+            lambda changed: changed.model.actuator_forcerange,
             (ids, 1),
             name="effort limit",
             unit="N m",
@@ -354,9 +364,11 @@ def _drives(
             starts=(0.15, 0.35, 0.65, 1.0),
             origin=0.0,
         ),
-        joint_cause("scale", ids, name="action scale", typical=MIN_SCALE),
         joint_cause(
-            "offset",
+            lambda changed: changed.scale, ids, name="action scale", typical=MIN_SCALE
+        ),
+        joint_cause(
+            lambda changed: changed.offset,
             ids,
             name="action offset",
             unit="rad" if is_servo else "N m",
@@ -365,7 +377,7 @@ def _drives(
         ),
         _field_cause(
             setup,
-            "delay_s",
+            lambda changed: changed.delay_s,
             [0],
             name="delay",
             unit="s",
@@ -380,7 +392,7 @@ def _drives(
     if is_servo:
         causes += [
             joint_cause(
-                "model.actuator_biasprm",
+                lambda changed: changed.model.actuator_biasprm,
                 (ids, 1),
                 -1.0,
                 name="kp",
@@ -389,7 +401,7 @@ def _drives(
                 apply=set_stiffness,
             ),
             joint_cause(
-                "model.actuator_biasprm",
+                lambda changed: changed.model.actuator_biasprm,
                 (ids, 2),
                 -1.0,
                 name="kd",
