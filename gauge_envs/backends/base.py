@@ -80,7 +80,7 @@ class Backend(ABC):
             repeats of such an engine in one batch. It runs the repeats of other engines one after another, so that an
             interrupted sweep loses less.
         contact_softness: Settings that make contacts soft, and the factor that makes contacts half as soft. Of a MuJoCo
-            `solref` the factor applies to the time constant. A step that softens contacts is no such setting.
+            `solref` the factor applies to the time constant. It does not list the step.
         restarts_worlds: Whether the `reset` of an overridden `build_worlds` takes `worlds`. Vector environments loop
             over simulations of one world of any other engine.
     """

@@ -115,7 +115,7 @@ class Worker:
             **kwargs: Its keyword arguments.
 
         Raises:
-            CrashError: The process died, or exceeded a limit; a `TimeLimitError` for that of time.
+            CrashError: The process died, or exceeded a limit. The limit of time raises its subclass `TimeLimitError`.
             GaugeError: The function raised an error.
             concurrent.futures.CancelledError: `kill` ended the process.
         """

@@ -92,7 +92,7 @@ def replay(
 
     The model predicts the log from its own recorded states. Each cause of a list is fitted alone, and then in pairs;
     its share of the error counts on pieces of the log that the fit has not seen. Exit code 1 when the model does not
-    predict the log within its noise.
+    predict the log within its noise, or the map lacks a line.
 
     With several models, their predictions are compared with those of the first one. With --fit, constants of all
     joints are fitted together. Both end with exit code 0.
@@ -121,7 +121,7 @@ def replay(
                 log[0], model[0], against, mapped, progress.advance, policy_file
             ).line
         document, paste = replay_document(line), line.paste
-        differs = line.verdict is not ReplayVerdict.NOISE
+        differs = line.verdict is not ReplayVerdict.NOISE or bool(line.paste)
     print_document(document, form, files=files)
     if form is not Format.JSON:
         for stack, text in paste.items():
