@@ -36,7 +36,7 @@ def reference_path(experiment: Experiment, band: Band | None) -> ReferencePath |
         experiment: The experiment with its effective initial state.
         band: Its band, or None.
     """
-    if band is None:
+    if band is None or band.unit != "mm":
         return None
     scene = experiment.scene
     observable = experiment.score.observable

@@ -86,33 +86,35 @@ def extensions_m(
     return modes @ shapes, modes @ slopes, free @ shapes
 
 
-def motion_m(scene: Scene, frame_count: int) -> tuple[Array, Array]:
-    """Return heights of the markers relative to the first, and what they leave out [m], shape [T, M - 1]."""
+def motion_percent(scene: Scene, frame_count: int) -> tuple[Array, Array]:
+    """Return lengths from the first marker to the others over those at rest, and u [%], each of shape [T, M - 1]."""
     times_s = np.arange(frame_count) / FRAME_RATE_HZ
     (strip,), (held,) = scene.deformables, scene.attachments
     top_m = strip.pose.position_m[2] + 0.5 * strip.size_m[0] - held.region.depth_m
-    starts_m = np.array(scene.markers.positions_m)[:, 2]
-    markers_m = top_m - starts_m
+    markers_m = top_m - np.array(scene.markers.positions_m)[:, 2]
     places_m = np.linspace(0.0, markers_m[-1], PLACES)
     extension_m, strain, free_m = extensions_m(scene, times_s, places_m)
     second_m = 1.5 * np.square(strain).cumsum(axis=1) * places_m[1]
     rows = np.rint(markers_m / places_m[1]).astype(int)
     assert np.allclose(places_m[rows], markers_m, atol=1e-9), "a marker is no place"
 
-    def since_first(along_m: Array) -> Array:
-        return along_m[:, rows[1:]] - along_m[:, rows[:1]]
+    def percent(along_m: Array) -> Array:
+        since_first_m = along_m[:, rows[1:]] - along_m[:, rows[:1]]
+        return 100.0 * since_first_m / (markers_m[1:] - markers_m[0])
 
-    heights_m = starts_m[1:] - starts_m[0] - since_first(extension_m)
-    left_out_m = np.hypot(since_first(second_m), since_first(free_m))
-    return heights_m, left_out_m
+    left_out = np.hypot(percent(second_m), percent(free_m))
+    return 100.0 + percent(extension_m), left_out
 
 
-def projection(marker_count: int) -> Array:
-    """Return the map from x, y, z of the markers to heights relative to the first, shape [M - 1, 3 M]."""
-    heights = np.zeros((marker_count - 1, marker_count, 3))
-    heights[:, 0, 2] = -1.0
-    heights[range(marker_count - 1), range(1, marker_count), 2] = 1.0
-    return heights.reshape(marker_count - 1, -1)
+def projection(scene: Scene) -> Array:
+    """Return the map from x, y, z of the markers [mm] to the lengths of `motion_percent`, shape [M - 1, 3 M]."""
+    heights_mm = 1e3 * np.array(scene.markers.positions_m)[:, 2]
+    shares = 100.0 / (heights_mm[0] - heights_mm[1:])
+    count = len(shares)
+    lengths = np.zeros((count, count + 1, 3))
+    lengths[:, 0, 2] = shares
+    lengths[range(count), range(1, count + 1), 2] = -shares
+    return lengths.reshape(count, -1)
 
 
 def solve(folder: Path) -> None:
@@ -120,18 +122,19 @@ def solve(folder: Path) -> None:
     for material in fabrics(FAMILY):
         variant = f"{FAMILY}-{material}"
         experiment = load_experiment(variant)
-        mean_m, uncertainty_m = motion_m(experiment.scene, experiment.frame_count)
-        count = mean_m.shape[1]
+        scene = experiment.scene
+        mean, uncertainty = motion_percent(scene, experiment.frame_count)
+        numbers = range(1, mean.shape[1] + 1)
         store_solution(
-            folder,
-            variant,
+            folder / variant,
             kind="analytic",
-            coordinates=[f"height-{number}" for number in range(1, count + 1)],
-            source="linear elastic strip at 45 degrees under a weight that varies; heights are relative to the highest "
-            "marker; u is the second order of the strain and the free vibration",
-            mean=1e3 * mean_m,
-            uncertainty=1e3 * uncertainty_m,
-            projection=projection(count + 1),
+            coordinates=[f"length-{number}" for number in numbers],
+            source="linear elastic strip at 45 degrees under a weight that varies; lengths from the highest marker to "
+            "the others are shares of those at rest; u is the second order of the strain and the free vibration",
+            mean=mean,
+            uncertainty=uncertainty,
+            projection=projection(scene),
+            unit="%",
         )
 
 
@@ -141,16 +144,14 @@ def engines(backend: str, only: str) -> None:
         if only not in material:
             continue
         variant = f"{FAMILY}-{material}"
-        experiment = load_experiment(variant)
+        scene = load_experiment(variant).scene
         result = run_episode(RunRequest(variant, backend=backend))
         assert result.trajectory is not None, result.error
-        markers_m = result.trajectory.markers_m()
-        assert markers_m is not None
-        mean_m, _ = motion_m(experiment.scene, len(markers_m))
-        measured_m = markers_m[:, 1:, 2] - markers_m[:, :1, 2]
-        asked_m, moved_m = mean_m - mean_m[0], measured_m - mean_m[0]
-        share = np.linalg.norm(moved_m - asked_m) / np.linalg.norm(asked_m)
-        ratio = np.vdot(moved_m, asked_m) / np.vdot(asked_m, asked_m)
+        measured = result.trajectory.markers_mm @ projection(scene).T
+        mean, _ = motion_percent(scene, len(measured))
+        asked, stretched = mean - mean[0], measured - mean[0]
+        share = np.linalg.norm(stretched - asked) / np.linalg.norm(asked)
+        ratio = np.vdot(stretched, asked) / np.vdot(asked, asked)
         print(f"{backend}, {material}: {share:.2%} off, extension x {ratio:.4f}")
 
 

@@ -9,8 +9,9 @@ from gauge_envs.experiments.task_files import fabrics
 from gauge_envs.references.band import load_band
 from gauge_envs.runs.episodes import run_episode
 from gauge_envs.runs.request import RunRequest
+from gauge_envs.scoring.answers import solves
 
-LENGTH_M, NODES = 0.2, 50
+LENGTH_M, NODES = 0.12, 50
 MATERIALS = fabrics("BiasStretching")
 
 
@@ -64,14 +65,15 @@ def test_the_reference_is_a_chain_of_masses_on_the_hoist(material):
     variant = f"BiasStretching-{material}"
     band, scene = load_band(variant), load_experiment(variant).scene
     times_s = np.arange(12) / 30.0
-    places_m = np.array([0.04, 0.08, 0.12, 0.16, 0.2])
+    places_m = 0.024 * np.arange(1, 6)
     extension_m = chain_m(
         scene.deformables[0], scene.gravity_m_per_s2, times_s, places_m
     )
-    heights_mm = 1e3 * (places_m[0] - places_m + extension_m[:, :1] - extension_m)
-    moved_mm = np.ptp(band.mean, axis=0).max()
-    # The free vibration of a light, soft strip is a part of u.
-    assert np.abs(heights_mm[:, 1:] - band.mean[:12]).max() < 0.01 * moved_mm
+    lengths = (
+        1.0 + (extension_m[:, 1:] - extension_m[:, :1]) / np.diff(places_m).cumsum()
+    )
+    moved = np.ptp(band.mean, axis=0).max()
+    assert np.abs(100.0 * lengths - band.mean[:12]).max() < 0.01 * moved
 
 
 def test_soft_shear_gives_the_rule_of_the_bias_extension_test():
@@ -92,18 +94,20 @@ def test_soft_shear_gives_the_rule_of_the_bias_extension_test():
     ],
 )
 def test_a_fifth_of_the_shear_stiffness_changes_the_answer_of_mujoco(material):
+    """Satin nearly keeps its area at 45 degrees; the default triangles lock, so that it needs smaller ones."""
     name = f"BiasStretching-{material}"
     band = load_band(name)
-    assert run_episode(RunRequest(name)).score.solves in ("yes", "cannot tell")
+    settings = {"cell_m": 0.003} if material == "satin" else {}
+    nominal = run_episode(RunRequest(name, settings=settings))
+    assert nominal.score.solves == ("cannot tell" if material == "satin" else "yes")
     cloth = load_experiment(name).scene.deformables[0]
-    limit = max(0.02 * band.zero_motion_distance, 2.0 * band.standard_uncertainty)
     for share in (0.8, 1.2):
         stiffness = share * cloth.shear_stiffness_n_per_m
         parameters = {"strip.shear_stiffness_n_per_m": stiffness}
-        markers_mm = run_episode(
-            RunRequest(name, parameters=parameters)
-        ).trajectory.markers_mm
-        assert band.length(band.project(markers_mm) - band.mean) > limit
+        request = RunRequest(name, settings=settings, parameters=parameters)
+        markers_mm = run_episode(request).trajectory.markers_mm
+        distance = band.length(band.project(markers_mm) - band.mean)
+        assert solves(band, distance) == "no"
 
 
 @pytest.mark.slow
@@ -115,8 +119,8 @@ def test_newton_stretches_the_strip_as_its_isotropic_law_says(material):
     band = load_band(name)
     cloth = load_experiment(name).scene.deformables[0]
     result = run_episode(RunRequest(name, backend="newton"))
-    heights_mm = band.project(result.trajectory.markers_mm)
-    moved_mm, asked_mm = heights_mm - heights_mm[0], band.mean - band.mean[0]
-    ratio = np.vdot(moved_mm, asked_mm) / np.vdot(asked_mm, asked_mm)
+    lengths = band.project(result.trajectory.markers_mm)
+    stretched, asked = lengths - lengths[0], band.mean - band.mean[0]
+    ratio = np.vdot(stretched, asked) / np.vdot(asked, asked)
     softer = stiffness_along(cloth, 0.25 * np.pi) / stiffness_along(cloth, 0.0)
     assert ratio == pytest.approx(softer, rel=0.03)
