@@ -253,9 +253,7 @@ def release_row(experiment: Experiment, times_s: FloatArray, values: FloatArray)
         times_s: Times of the rows [s], shape [row_count].
         values: g(t), shape [row_count, coordinate_count].
     """
-    observable = experiment.score.observable
-    is_position = observable in (Observable.POSITION, Observable.MARKER_POSITION)
-    if experiment.scene.drivers or not is_position:
+    if experiment.scene.drivers or not experiment.score.observable.is_of_places:
         return 0
     since_s = times_s - times_s[0]
     distances_mm = np.abs(values - values[0]).max(axis=1)
