@@ -217,9 +217,9 @@ def likely_rate_hz(band: Band | None, values: FloatArray) -> int | None:
 
     Args:
         band: The reference; None is unknown.
-        values: g(t), shape [row_count, coordinate_count].
+        values: g(t), shape [row_count, coordinate_count], at least one row.
     """
-    if band is None or not len(values):
+    if band is None:
         return None
     projected = band.project(values)
     if not MIN_MISFIT < _misfit(band, projected, FRAME_RATE_HZ) < np.inf:
