@@ -15,6 +15,7 @@ import numpy as np
 from gauge_envs.backends.simulation import Simulation
 from gauge_envs.errors import ShapeError
 from gauge_envs.observables.functions import (
+    MAX_MARKER_DISTANCE_M,
     AngleDeficits,
     assign_markers,
     face_areas_mm2,
@@ -23,9 +24,6 @@ from gauge_envs.observables.functions import (
 from gauge_envs.observables.kinds import Observable
 from gauge_envs.scene import Cloth, Deformable, Markers, Scene
 from gauge_envs.scene.geometry import FloatArray, IntArray
-
-MAX_MARKER_DISTANCE_M = 0.01
-"""Largest distance between a marker and its proxy (paper, simulation and track: below 1 cm)."""
 
 
 class MarkerProxy(StrEnum):
@@ -102,20 +100,18 @@ class ObserverMarkers:
         self.marker_count = len(targets_m)
         self._formula = formula_of(scene.markers, observable)
         self._track: Callable[[], FloatArray] | None = None
+        if proxy is MarkerProxy.MATERIAL:
+            self._track = _tracker(simulation, self._bodies, targets_m)
+        if self._track is not None:
+            return
         rest = {name: simulation.nodes(name)[0] for name in self._bodies}
         if proxy is MarkerProxy.NODE:
-            nodes = np.concatenate(list(rest.values()))
-            nearest = assign_markers(
-                targets_m, nodes, max_distance_m=MAX_MARKER_DISTANCE_M
-            )
+            nearest = assign_markers(targets_m, np.concatenate([*rest.values()]))
             self.indices, self.weights = nearest[:, None], np.ones((len(nearest), 1))
         else:
-            self._track = _tracker(simulation, self._bodies, targets_m)
-        if proxy is MarkerProxy.MATERIAL and self._track is None:
             deformables = {body.name: body for body in scene.deformables}
             self.indices, self.weights = material_points(targets_m, rest, deformables)
-        if self._track is None:
-            self._columns = np.flatnonzero(self.weights.any(axis=0)).tolist()
+        self._columns = np.flatnonzero(self.weights.any(axis=0)).tolist()
 
     def markers(self, simulation: Simulation) -> FloatArray:
         """Return the markers now [m], shape [N, marker_count, 3]."""
