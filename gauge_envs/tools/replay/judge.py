@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import t as student
 
+from gauge_envs.backends.mujoco.messages import mujoco_warnings
 from gauge_envs.errors import FileError, ParameterError
 from gauge_envs.optional import needs_extra
 from gauge_envs.pages.document import Document, Paragraph, Tone
@@ -21,7 +22,6 @@ from gauge_envs.tools.replay.model import (
     joint_names,
     law_setups,
     load_model,
-    quiet_engine,
 )
 from gauge_envs.tools.replay.readers import read_log
 from gauge_envs.tools.replay.schema import ModelLine
@@ -48,7 +48,7 @@ def judge_models(
         FileError: A file cannot be used.
         ParameterError: The logs are too short, or a log and a model do not go together.
     """
-    with quiet_engine():
+    with mujoco_warnings():
         setups = []
         for model in models:
             is_values = model.suffix in YAML

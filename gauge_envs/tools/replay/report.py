@@ -11,6 +11,7 @@ import mujoco
 import numpy as np
 from scipy.interpolate import make_interp_spline
 
+from gauge_envs.backends.mujoco.messages import mujoco_warnings
 from gauge_envs.pages.document import Document, Paragraph, Part, Tone
 from gauge_envs.pages.table import Column, Table
 from gauge_envs.tools.replay.causes import ZERO, Cause, candidates
@@ -24,7 +25,6 @@ from gauge_envs.tools.replay.model import (
     joint_names,
     law_setups,
     load_model,
-    quiet_engine,
 )
 from gauge_envs.tools.replay.observation import (
     check_policy,
@@ -105,7 +105,7 @@ def replay(
             check_base(each, compiled)
         return logs
 
-    with quiet_engine():
+    with mujoco_warnings():
         mapped, mistakes = find_conventions(lambda m: read(m)[-1], compiled, given)
         logs = read(mapped)
         explanation, misfit = _explain(logs, compiled, advance)
