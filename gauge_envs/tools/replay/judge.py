@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from scipy.stats import t as student
 
 from gauge_envs.backends.mujoco.messages import mujoco_warnings
 from gauge_envs.errors import FileError, ParameterError
@@ -14,6 +13,7 @@ from gauge_envs.optional import needs_extra
 from gauge_envs.pages.document import Document, Paragraph, Tone
 from gauge_envs.pages.table import Column, Table
 from gauge_envs.reading import reading
+from gauge_envs.scoring.interval import mean_half_width
 from gauge_envs.tools.replay.causes import candidates, change_setup
 from gauge_envs.tools.replay.log import FloatArray, LogMap
 from gauge_envs.tools.replay.model import (
@@ -140,9 +140,7 @@ def _errors(setups: Sequence[tuple[Replayer, Setup]], horizon_s: float) -> Float
 def _ratio(errors: FloatArray, nominal: FloatArray) -> FloatArray:
     """Return the geometric mean of ratios of errors, and its 95 % interval."""
     logarithms = np.log(np.maximum(errors, 1e-9) / np.maximum(nominal, 1e-9))
-    count = len(logarithms)
-    half = student.ppf(0.975, count - 1) * np.std(logarithms, ddof=1) / np.sqrt(count)
-    mean = np.mean(logarithms)
+    mean, half = np.mean(logarithms), mean_half_width(logarithms)
     return np.exp([mean, mean - half, mean + half])
 
 

@@ -15,7 +15,7 @@ from gauge_envs.backends.mujoco.messages import mujoco_warnings
 from gauge_envs.pages.document import Document, Paragraph, Part, Tone
 from gauge_envs.pages.table import Column, Table
 from gauge_envs.tools.replay.causes import ZERO, Cause, candidates
-from gauge_envs.tools.replay.conventions import check_base, find_conventions
+from gauge_envs.tools.replay.conventions import check_fixed_base, find_conventions
 from gauge_envs.tools.replay.fit import THRESHOLDS, Fit, Interval, Problem
 from gauge_envs.tools.replay.log import FloatArray, Log, LogMap
 from gauge_envs.tools.replay.model import (
@@ -102,7 +102,7 @@ def replay(
     def read(changed: LogMap) -> list[Log]:
         logs = [read_log(file, joint_names(compiled), changed) for file in files]
         for each in logs:
-            check_base(each, compiled)
+            check_fixed_base(each, compiled)
         return logs
 
     with mujoco_warnings():
