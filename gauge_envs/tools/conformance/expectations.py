@@ -7,7 +7,7 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Annotated
 
-from pydantic import BaseModel, ConfigDict, Field, TypeAdapter
+from pydantic import BaseModel, ConfigDict, StringConstraints, TypeAdapter
 
 from gauge_envs.errors import ParameterError, UnknownNameError
 from gauge_envs.reading import reading
@@ -32,7 +32,7 @@ def has_moved(earlier: float | None, result: CheckResult) -> bool:
 
 FORM = 'write slide = { measured = 0.513, reason = "no model of it" }, and "cloth-*" = "no cloth" in [unsupported]'
 
-Reason = Annotated[str, Field(pattern=r"\S")]
+Reason = Annotated[str, StringConstraints(strip_whitespace=True, min_length=1)]
 
 
 class KnownFailure(BaseModel):

@@ -142,8 +142,11 @@ class Lab:
                 built = self.backend.build(given, settings)
             else:
                 built = self.backend.build_worlds(given, world_count, settings)
+            _check_simulation(built)
             simulation = in_intervals(built, given)
             settings_record(self.backend.name, simulation.settings)
+        except ContractError:
+            raise
         except Exception as error:
             if settings and isinstance(error, ParameterError | UnsupportedSceneError):
                 # `supports` answers for the default settings; a preset for other scenes is not a fault of the engine.
@@ -241,6 +244,19 @@ class Lab:
         if error is not None:
             raise error
         return value  # type: ignore[no-any-return]
+
+
+def _check_simulation(built: Any) -> None:
+    """Raise a `ContractError` if `build` returned no simulation, or one whose attributes have another type."""
+    if not isinstance(built, Simulation):
+        raise ContractError(
+            f"build() returned a {type(built).__name__}: return a Simulation"
+        )
+    for name, value in (("settings", built.settings), ("diverged()", built.diverged())):
+        if not isinstance(value, Mapping):
+            raise ContractError(
+                f"Simulation.{name} is a {type(value).__name__}: make it a mapping"
+            )
 
 
 def push(simulation: Simulation, body: str, wrench: ArrayLike) -> None:
