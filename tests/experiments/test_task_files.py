@@ -130,7 +130,7 @@ def test_the_longest_matching_key_gives_the_provenance():
         ("SlopeSlider", "{ all = 9 }", "{ all = 1 }", "subtasks.1.frames"),
         ("SlopeSlider", "{ all = 9 }", "{ wood = 9 }", "no frame count for SlopeSli"),
         ("SlopeSlider", "initial.metal]", "initial.steel]", "no start of"),
-        ("SlopeSlider", 'constants_of = "cube"', "friction = 0.1", "both friction and"),
+        ("SlopeSlider", 'constants_of = "cube"', "friction = 0.1", "friction: unknown"),
         ("FoamStretching", "ratio = 0.23", "ratio = 0.5", "Poisson ratio 0.5"),
         ("FoamStretching", "[0, 7, 8]", "[0, 7, 28]", "marker index 28 is out of"),
         ("BouncingBall", "ground = { ", "ground = { velocity_m_per_s = [1, 0, 0], ", "'ground' is fixed and"),
@@ -190,7 +190,11 @@ def test_a_parameter_set_equals_its_overrides(name):
     [
         (SLIDE, {"board.friction": 0.2}, "no motion depends on it.*: cube.friction$"),
         ("Funnel-satin", {"air.density": 1.2}, "did you mean density_kg_per_m3"),
-        (SLIDE, {"air.density_kg_per_m3": 1.2}, "air acts on cloth, and the scene has"),
+        (
+            SLIDE,
+            {"air.density_kg_per_m3": 1.2, "air.normal_coefficient": 1.0},
+            "the scene has air and no cloth",
+        ),
         (SLIDE, {"cub.friction": 0.3}, "names no body of the scene.*did you mean cube"),
         (SLIDE, {"cube.frction": 0.3}, "no constant of 'cube'; did you mean friction"),
         (SLIDE, {"cube.friction": "0.3"}, "should be a valid number"),
