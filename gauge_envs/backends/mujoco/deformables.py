@@ -79,7 +79,7 @@ def add_deformables(
 
 def unsupported_features(scene: Scene) -> Iterator[str]:
     """Yield one sentence for each feature of the scene's deformable bodies that this backend does not support."""
-    yield from attachment_problems(scene, not_to_dynamic=Cloth | SoftBody)
+    yield from attachment_problems(scene)
     yield from _frictions_in_conflict(scene)
 
 

@@ -2,13 +2,13 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from types import UnionType
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.errors import UnsupportedSceneError
 from gauge_envs.scene import (
+    Cloth,
     Motion,
     Pose,
     Region,
@@ -65,27 +65,28 @@ def bonded_soft_bodies(scene: Scene) -> list[list[SoftBody]]:
     return list({id(group): group for group in groups.values()}.values())
 
 
-def attachment_problems(
-    scene: Scene, *, not_to_dynamic: type | UnionType
-) -> Iterator[str]:
-    """Yield one sentence for each attachment that a backend cannot build.
-
-    Args:
-        scene: The scene.
-        not_to_dynamic: Types of deformable bodies that must not be attached to a dynamic body.
-    """
+def attachment_problems(scene: Scene) -> Iterator[str]:
+    """Yield one sentence for each attachment that no backend builds."""
     rigid = {body.name: body for body in scene.bodies}
-    soft = {body.name: body for body in scene.deformables}
+    deformable = {body.name: body for body in scene.deformables}
     for attachment in scene.attachments:
-        deformable, to = soft.get(attachment.deformable), rigid.get(attachment.to)
-        if deformable is None or (to is None and attachment.to not in soft):
-            yield f"{attachment.deformable!r} is attached to {attachment.to!r}, and one of them is not in the scene"
-        elif (
-            to is not None
-            and to.motion is Motion.DYNAMIC
-            and isinstance(deformable, not_to_dynamic)
-        ):
-            yield f"{deformable.name!r} is attached to {to.name!r}, which moves under forces"
+        body = deformable.get(attachment.deformable)
+        to = rigid.get(attachment.to)
+        between = f"{attachment.deformable!r} is attached to {attachment.to!r}"
+        if to is None:
+            bonded = deformable.get(attachment.to)
+            if not (isinstance(body, SoftBody) and isinstance(bonded, SoftBody)):
+                yield f"{between}, which is not a rigid body"
+        elif to.motion is Motion.DYNAMIC and isinstance(body, Cloth | SoftBody):
+            yield f"{between}, which moves under forces"
+        elif isinstance(body, Cloth) and attachment.region.axis == "z":
+            yield f"{between} by its face, not by an edge"
+    for line in scene.deformables:
+        if isinstance(line, Rope | Rod):
+            try:
+                attached_ends(line, rigid_attachments(scene, line.name))
+            except UnsupportedSceneError as error:
+                yield str(error)
 
 
 def points_on_axis(line: Rope | Rod, places_m: NDArray[np.floating]) -> FloatArray:
