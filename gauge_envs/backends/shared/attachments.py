@@ -4,9 +4,9 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from gauge_envs.errors import UnsupportedSceneError
+from gauge_envs.errors import ShapeError, UnsupportedSceneError
 from gauge_envs.scene import (
     Cloth,
     Motion,
@@ -17,10 +17,13 @@ from gauge_envs.scene import (
     Scene,
     SoftBody,
 )
-from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene.geometry import FloatArray, IntArray, length_of
 
 LINE_AXIS = {Rope: "x", Rod: "z"}
 """Axis of its frame along which a line lies."""
+
+BEYOND_M = 1e-5
+"""Distance beyond an end of a line at which a point still belongs to it [m]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,6 +102,37 @@ def points_on_axis(line: Rope | Rod, places_m: NDArray[np.floating]) -> FloatArr
     points = np.zeros((len(places_m), 3))
     points[:, "xyz".index(LINE_AXIS[type(line)])] = places_m
     return line.pose.to_world(points)
+
+
+def places_on_line(
+    name: str, nodes_m: FloatArray, points_m: ArrayLike
+) -> tuple[IntArray, FloatArray, FloatArray]:
+    """Return where points of a rope or rod lie at the start.
+
+    Args:
+        name: Name of the line.
+        nodes_m: Nodes along its axis at the start [m], shape [node_count, 3].
+        points_m: The points [m], shape [point_count, 3].
+
+    Returns:
+        Segment of each point, shape [point_count]; its share between the two nodes, shape [point_count, 1]; and its
+        distance from the axis [m], shape [point_count, 3].
+
+    Raises:
+        ShapeError: A point lies beyond an end.
+    """
+    span_m = nodes_m[-1] - nodes_m[0]
+    axis = span_m / length_of(span_m)
+    arms_m = points_m - nodes_m[0]
+    along_m = arms_m @ axis
+    places_m = (nodes_m - nodes_m[0]) @ axis
+    if not np.all((along_m > -BEYOND_M) & (along_m < places_m[-1] + BEYOND_M)):
+        raise ShapeError(
+            f"a point lies beyond an end of {name!r}: track points within its length"
+        )
+    segments = np.searchsorted(places_m[1:-1], along_m, side="right")
+    shares = (along_m - places_m[segments]) / np.diff(places_m)[segments]
+    return segments, shares[:, None], arms_m - along_m[:, None] * axis
 
 
 def attached_ends(

@@ -143,6 +143,23 @@ class SoftRow:
         """Highest corner of the free material [m], shape [3]."""
         return self.blocks[-1].high_m
 
+    def face_m(self, side: str) -> float:
+        """Return the place of an end face along the row [m]."""
+        corner_m = self.low_m if side == "low" else self.high_m
+        return float(corner_m[self.axis])
+
+    def end(self, side: str) -> Block:
+        """Return the block at an end."""
+        return self.blocks[0 if side == "low" else -1]
+
+    def beyond_m(self, side: str, depth_m: float) -> tuple[FloatArray, FloatArray]:
+        """Return the lowest and the highest corner of the material behind an end face to a depth [m], shape [3]."""
+        low_m, high_m = self.low_m.copy(), self.high_m.copy()
+        face_m = self.face_m(side)
+        low_m[self.axis] = face_m - depth_m if side == "low" else face_m
+        high_m[self.axis] = face_m if side == "low" else face_m + depth_m
+        return low_m, high_m
+
     def gripped(
         self, points_m: FloatArray
     ) -> Iterator[tuple[RigidAttachment, IntArray]]:
