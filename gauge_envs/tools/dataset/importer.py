@@ -474,7 +474,7 @@ def _band(experiment: Experiment, trajectories: FloatArray, source: str) -> Band
         projection=np.eye(len(experiment.coordinates)),
         mean=mean,
         sigma=sigma,
-        measured=np.isfinite(mean).any(axis=1),
+        measured=np.asarray(np.isfinite(mean).any(axis=1)),
         source=source,
         trial_count=count,
         trials=trajectories,
