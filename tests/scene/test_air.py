@@ -85,7 +85,7 @@ def test_no_step_overshoots_below_the_stable_speed():
         (
             "SlopeSlider-2-wood",
             {"air.density_kg_per_m3": 1.2, "air.normal_coefficient": 1.0},
-            "air acts on cloth, and the scene has none",
+            "the scene has air and no cloth",
         ),
         (SATIN, {"air.density_kg_per_m3": 1.2}, r"air\.normal_coefficient"),
         (SATIN, {"air.viscosity": 1.2}, "known: density_kg_per_m3"),
