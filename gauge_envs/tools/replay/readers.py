@@ -1,7 +1,5 @@
 """Read logs: each format gives titles and values of columns, and the titles say what they are."""
 
-from __future__ import annotations
-
 import csv
 import json
 import re
