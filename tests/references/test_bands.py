@@ -88,17 +88,6 @@ def test_the_baseline_is_as_uncertain_as_its_means_without_each_trial():
     assert expected > 1.8 * distances.std(ddof=1) / math.sqrt(count)
 
 
-@pytest.mark.parametrize("name", BANDS)
-def test_a_band_prints_in_five_lines(name):
-    band = BANDS[name]
-    lines = repr(band).splitlines()
-    assert len(lines) == 5
-    assert max(map(len, lines)) <= 120
-    assert f"Band({band.kind}, {len(band.mean)} frames" in lines[0]
-    assert f"{band.standard_uncertainty:.3g} {band.compared.unit}" in lines[2]
-    assert band.source[:40] in lines[3]
-
-
 def test_a_band_with_arrays_of_different_lengths_is_rejected():
     band = BANDS["SlopeSlider-2-wood"]
     assert band.project([[2.0, 7.0, 4.0]]) == pytest.approx(3**0.5 - 2.0)

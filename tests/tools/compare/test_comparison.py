@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from gauge_envs.experiments.task_files import task_sha256, task_spec
-from gauge_envs.references.published import published_baselines
 from gauge_envs.registry import package_versions
 from gauge_envs.runs.episodes import run_episode
 from gauge_envs.runs.request import RunRequest
@@ -22,8 +21,6 @@ from gauge_envs.scoring.reference import reference_band
 from gauge_envs.scoring.score import Score
 from gauge_envs.scoring.trajectory import score_trajectory
 from gauge_envs.tools.compare.comparison import compare
-from gauge_envs.tools.compare.experiment_figure import draw_experiment
-from gauge_envs.tools.compare.overview_figure import draw_overview
 from gauge_envs.tools.compare.report import comparison_document
 from gauge_envs.tools.compare.spool import TrajectorySpool
 
@@ -197,27 +194,6 @@ def test_a_large_difference_ranks(real):
     assert answer([real[SLIDER]]).startswith("No ranks")
 
 
-def test_the_exact_motion_has_a_column_for_each_set_of_constants(real):
-    def exact(*results):
-        table = comparison_document(compare(results)).parts[1]
-        columns = [one for one in table.columns if one.title.startswith("exact")]
-        return {one.title: one.value(table.rows[0]) for one in columns}
-
-    published = real[SLIDER]
-    value = published.score.exact
-    assert exact(published, as_newton(published)) == {"exact": value}
-    rough = replace(
-        published,
-        parameters={"cube.friction": 0.3},
-        score=replace(published.score, exact=9.0),
-    )
-    assert exact(published, as_newton(published), rough) == {
-        "exact, published": value,
-        "exact, cube.friction=0.3": 9.0,
-    }
-    assert exact(real[TURNED]) == {}
-
-
 def test_a_score_that_differs_from_its_trajectory_is_not_ranked(real):
     score = replace(real[SLIDER].score, rmse_aligned_normalized=0.3)
     comparison = compare([replace(real[SLIDER], score=score), as_newton(real[SLIDER])])
@@ -290,48 +266,6 @@ def test_cloth_and_foam_are_compared_by_their_markers():
     mean_square = (100.0**2 + 104.0**2) / 2.0
     assert far.motion_rms == pytest.approx(np.sqrt(mean_square / 2.0) * moving)
     assert far.share_text == "3.92 %"
-
-
-def test_a_picture_of_foam_in_mm_has_no_published_distance_of_faces():
-    results = []
-    for backend in ("mujoco", "newton"):
-        result = made(BAR, backend=backend)
-        markers_mm = np.zeros((31, 84))
-        trajectory = replace(result.trajectory, markers_mm=markers_mm)
-        score = replace(result.score, refused="no score: the scene differs")
-        results.append(replace(result, trajectory=trajectory, score=score))
-    axis = draw_experiment(results).axes[0]
-    assert axis.get_ylabel() == "distance [mm]"
-    assert len(axis.get_lines()) == 1
-
-
-def test_repeats_are_compared_seed_by_seed():
-    ours = [made(FOAM, seed=seed, start=100.0 * seed) for seed in (1, 2, 3)]
-    theirs = [
-        made(FOAM, backend="newton", seed=seed, start=101.0 * seed)
-        for seed in (1, 2, 3)
-    ]
-    far = distance(*ours, *theirs)
-    assert (far.rms.mean, far.rms.std, far.rms.count) == (2.0, 1.0, 3)
-    apart = distance(ours[0], ours[1], theirs[2])
-    assert (apart.rms.mean, apart.rms.count) == ((203.0 + 103.0) / 2, 2)
-
-
-def test_the_overview_shows_published_engines_only_with_raw_scores_of_trials(real):
-    primary, raw, solved = (
-        {
-            float(line.get_xdata()[0])
-            for line in axis.get_lines()
-            if len(line.get_xdata())
-        }
-        for axis in draw_overview(compare([real[SLIDER], real[TURNED]])).axes
-    )
-    score = real[SLIDER].score
-    assert score.rmse_aligned_normalized in primary
-    assert score.rmse_normalized in raw
-    assert real[TURNED].score.primary_normalized in solved - primary
-    published = set(published_baselines(SLIDER)["rmse"].engines.values())
-    assert published <= raw - primary
 
 
 # --- the command ---

@@ -10,9 +10,9 @@ from gauge_envs.tools.control.env import Ending, play_paid
 from gauge_envs.tools.control.fling import FlingLimit
 
 TRAINING = {"preset": "training"}
-SPEED_LEFT, ROD_Y, ROD_SPEED = (
+SPEED_LEFT, ROD_SPEED = (
     FlingLimit.OBSERVED.index(name)
-    for name in ("speed_left_m_per_s", "rod_y_m", "rod_velocity_y_m_per_s")
+    for name in ("speed_left_m_per_s", "rod_velocity_y_m_per_s")
 )
 
 
