@@ -174,10 +174,7 @@ class InitialStates:
             trial = draw if isinstance(draw, int) else trials[seed % len(trials)]
             shot = shots.shot(trial)
             states = self._nominal.states.copy()
-            state = states[row_of(experiment.scene, shot.body)]
-            state[:3], state[3:7] = shot.positions_m[0], shot.quaternions[0]
-            state[7:10] = shot.velocity_m_per_s
-            state[10:] = shot.angular_velocity_rad_per_s
+            states[row_of(experiment.scene, shot.body)] = shot.start
             return InitialState(states, experiment.scene.drivers, trial=trial)
         assert isinstance(draw, int), "`real` draws only single-trial recordings"
         # This module imports rotations of SciPy.

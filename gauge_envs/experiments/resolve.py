@@ -5,8 +5,6 @@ from os import PathLike
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from gauge_envs.errors import ParameterError, TaskFileError
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.scene_builder import (
@@ -21,8 +19,8 @@ from gauge_envs.experiments.variants import Variant, find_variant, task_path
 from gauge_envs.references.imported import load_imported, recorded_drivers
 from gauge_envs.references.single_shot import SingleShots, single_shots
 from gauge_envs.references.user_data import DataSource
-from gauge_envs.scene import Motion, Pose, Scene
-from gauge_envs.scene.geometry import vector
+from gauge_envs.scene import Motion, Scene
+from gauge_envs.scene.states import nominal_states, row_of, scene_at
 from gauge_envs.validation import chosen
 
 
@@ -217,14 +215,7 @@ def with_trial(experiment: Experiment, trial: int) -> Experiment:
     shots = single_shots(experiment.name)
     if shots is None:
         raise ParameterError(f"{experiment.id} has no single-trial recordings")
-    shot = shots.shot(trial)
-    start = np.concatenate([shot.positions_m[0], shot.quaternions[0]])
-    scene = experiment.scene
-    started = replace(
-        scene.body(shot.body),
-        pose=Pose.of_state(start),
-        linear_velocity_m_per_s=vector(shot.velocity_m_per_s),
-        angular_velocity_rad_per_s=vector(shot.angular_velocity_rad_per_s),
-    )
-    bodies = tuple(started if body.name == shot.body else body for body in scene.bodies)
-    return replace(experiment, scene=replace(scene, bodies=bodies), trial=trial)
+    shot, scene = shots.shot(trial), experiment.scene
+    states = nominal_states(scene)
+    states[row_of(scene, shot.body)] = shot.start
+    return replace(experiment, scene=scene_at(scene, states), trial=trial)

@@ -50,6 +50,8 @@ from gauge_envs.validation import first_fault
 AIR = "air"
 """Prefix of overrides of the air of a scene, as `air.density_kg_per_m3`."""
 
+AIR_CONSTANTS = [field.name for field in fields(Air)]
+
 GRAVITY = "scene.gravity_m_per_s2"
 """Key of the override of gravity [m/s^2]."""
 
@@ -155,9 +157,9 @@ class SceneBuilder:
             self._gravity_m_per_s2 = GRAVITY_TYPE.validate_json(
                 _json(value), strict=True
             )
-        elif name == AIR:
-            self._override_air(constant, value)
-        elif name not in self._bodies:
+        elif name == AIR and constant in AIR_CONSTANTS:
+            self._air[constant] = value
+        elif name not in (AIR, *self._bodies):
             raise ParameterError(
                 f"names no body of the scene ({AIR!r} for cloth, {GRAVITY!r}); {nearest(name, self._bodies)}"
             )
@@ -174,21 +176,11 @@ class SceneBuilder:
             ).model_dump(exclude_unset=True)
         else:
             known = [*self.constants.get(name, {}), *Placement.model_fields]
+            if name == AIR:
+                known = AIR_CONSTANTS
             raise ParameterError(
                 f"names no constant of {name!r}; {nearest(constant, known)}"
             )
-
-    def _override_air(self, constant: str, value: Any) -> None:
-        known = [field.name for field in fields(Air)]
-        if not any(isinstance(body, ClothSpec) for body in self._bodies.values()):
-            raise ParameterError(
-                "would change nothing: air acts on cloth, and the scene has none"
-            )
-        if constant not in known:
-            raise ParameterError(
-                f"names no constant of air; {nearest(constant, known)}"
-            )
-        self._air[constant] = value
 
     def is_constant(self, key: str) -> bool:
         """Return whether the key of an override is a constant of a body."""

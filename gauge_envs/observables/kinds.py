@@ -27,6 +27,11 @@ class Observable(StrEnum):
             return "rad"
         return "mm^2" if self is Observable.FACE_AREA else "mm"
 
+    @property
+    def is_of_places(self) -> bool:
+        """Whether g(t) has the places of bodies or markers, x, y and z of each."""
+        return self in (Observable.POSITION, Observable.MARKER_POSITION)
+
 
 def coordinate_names(
     observable: Observable, *, recorded: Sequence[str], markers: Markers | None

@@ -269,15 +269,14 @@ class Band:
         if self.given_uncertainty is not None:
             return self.given_uncertainty
         compared = self.compared
-        sigma = compared.sigma
+        sigma, uncertainty = compared.sigma, compared.uncertainty
         if self.kind.is_mean_of_trials:
             return compared.length(sigma / math.sqrt(self.trial_count or 1))
-        uncertainty = compared.uncertainty
+        if uncertainty is None:
+            return compared.length(sigma)
         if self.kind is Kind.RECORDING:
-            return compared.length(
-                np.hypot(sigma, 0.0 if uncertainty is None else uncertainty)
-            )
-        return compared.length(sigma if uncertainty is None else uncertainty)
+            return compared.length(np.hypot(sigma, uncertainty))
+        return compared.length(uncertainty)
 
     @cached_property
     def zero_motion_distance(self) -> float:

@@ -21,6 +21,7 @@ from gauge_envs.reading import reading
 from gauge_envs.references.band import (
     ABOUT,
     ARRAYS,
+    FILE_FIELDS,
     Band,
     load_band,
     read_band_file,
@@ -32,18 +33,6 @@ from gauge_envs.scene.drivers import Driver
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.profiles import SampledProfile
 from gauge_envs.scene.timing import FRAME_RATE_HZ
-
-WRITTEN_FIELDS = (
-    "kind",
-    "unit",
-    "coordinates",
-    "trial_count",
-    "source",
-    "licence",
-    "standard_uncertainty",
-    "zero_motion_distance",
-)
-"""Attributes of a band in the description of its import."""
 
 START_FRAMES = 3
 """Number of first frames from which the initial velocities of a trial are computed."""
@@ -161,7 +150,7 @@ def write_imported(
     arrays = {name: getattr(band, name) for name in ARRAYS}
     arrays |= {f"driver.{body}": values for body, values in drivers.items()}
     arrays["start_quaternions"] = start_quaternions
-    about = {name: getattr(band, name) for name in WRITTEN_FIELDS}
+    about = {name: getattr(band, name) for name in ("kind", *FILE_FIELDS)}
     about["imported"] = facts.model_dump()
     arrays[ABOUT] = np.frombuffer(json.dumps(about).encode(), np.uint8)
     stream = io.BytesIO()

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,9 +23,6 @@ from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.text import toml_document
 
-if TYPE_CHECKING:
-    from scipy.spatial.transform import Rotation
-
 QUATERNION_UNIT = 1.0 / 32767.0
 """Value of one count of a stored quaternion."""
 
@@ -36,52 +33,30 @@ class SingleShot:
 
     Attributes:
         body: Name of the body.
-        source_number: Number of the trial in the source.
         times_s: Times of the frames, from 0, shape [T].
         positions_m: Positions of the body origin, shape [T, 3].
         quaternions: Orientations w x y z, body to world, shape [T, 4].
-        velocity_m_per_s: Velocity at the first frame, shape [3].
-        angular_velocity_rad_per_s: Angular velocity at the first frame in the world frame, shape [3].
+        start: State at the first frame, shape [13], see `gauge_envs.scene.states`.
     """
 
     body: str
-    source_number: int
     times_s: FloatArray
     positions_m: FloatArray
     quaternions: FloatArray
-    velocity_m_per_s: FloatArray
-    angular_velocity_rad_per_s: FloatArray
+    start: FloatArray
 
-    @property
-    def rotations(self) -> Rotation:
-        """Orientations, body to world, T of them."""
-        from scipy.spatial.transform import Rotation
-
-        return Rotation.from_quat(self.quaternions, scalar_first=True)
-
-    @property
-    def duration_s(self) -> float:
-        """Time of the last frame [s]."""
-        return float(self.times_s[-1])
-
-    def poses_at(self, times_s: FloatArray) -> tuple[FloatArray, Rotation]:
-        """Return the recorded poses at other times; after the last frame the body keeps its last pose.
-
-        Between frames, positions are a cubic spline, and rotations have a constant rate.
+    def positions_at(self, times_s: FloatArray) -> FloatArray:
+        """Return positions at other times [m], shape [Q, 3]: a cubic spline; after the last frame, the last position.
 
         Args:
             times_s: Times [s], shape [Q].
-
-        Returns:
-            Positions [m], shape [Q, 3], and orientations.
         """
         # The import takes 0.1 s, and lists of experiments do not need it.
         from scipy.interpolate import CubicSpline
-        from scipy.spatial.transform import Slerp
 
-        within_s = np.clip(times_s, 0.0, self.duration_s)
-        positions_m = CubicSpline(self.times_s, self.positions_m)(within_s)
-        return positions_m, Slerp(self.times_s, self.rotations)(within_s)
+        within_s = np.clip(times_s, 0.0, self.times_s[-1])
+        positions_m: FloatArray = CubicSpline(self.times_s, self.positions_m)(within_s)
+        return positions_m
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,17 +113,16 @@ class SingleShots:
         positions_m[:, 2] += nuisances["height_offset_m"]
         quaternions = QUATERNION_UNIT * data["quaternion"][rows].astype(np.float64)
         quaternions /= np.linalg.norm(quaternions, axis=1, keepdims=True)
-        start = Rotation.from_quat(quaternions[0], scalar_first=True)
+        rotation = Rotation.from_quat(quaternions[0], scalar_first=True)
         # Recordings give the angular velocity in the body frame, scenes in the world frame.
         rate_of_body = data["start_angular_velocity_body"][trial].astype(np.float64)
+        velocities = data["start_velocity"][trial], rotation.apply(rate_of_body)
         return SingleShot(
             body=self.metadata["body"],
-            source_number=int(data["source_number"][trial]),
             times_s=np.arange(len(positions_m)) / self.metadata["rate_hz"],
             positions_m=positions_m,
             quaternions=quaternions,
-            velocity_m_per_s=data["start_velocity"][trial].astype(np.float64),
-            angular_velocity_rad_per_s=start.apply(rate_of_body),
+            start=np.concatenate([positions_m[0], quaternions[0], *velocities]),
         )
 
     def band(self, trial: int, frame_count: int) -> Band:
@@ -160,7 +134,7 @@ class SingleShots:
         """
         shot, nuisances = self.shot(trial), self.metadata["nuisances"]
         times_s = np.arange(frame_count) / FRAME_RATE_HZ
-        mean = 1e3 * shot.poses_at(times_s)[0]
+        mean = 1e3 * shot.positions_at(times_s)
         if "position_std" in self.arrays:
             rows = self.arrays["first"][trial] + np.arange(frame_count)
             sigma = 1e3 * self.arrays["position_std"][rows].astype(np.float64)
@@ -177,7 +151,7 @@ class SingleShots:
             projection=np.eye(3),
             mean=mean,
             sigma=sigma,
-            measured=times_s <= shot.duration_s,
+            measured=times_s <= shot.times_s[-1],
             trial_count=1,
             source=f"trial {trial}{repeats} of {self.metadata['source']}",
             uncertainty=sigma,

@@ -59,7 +59,7 @@ def tracked_overlay(
     if observable is Observable.POSITION and len(experiment.recorded) > MAX_PATHS:
         return Overlay()
     paths: tuple[FloatArray, ...] = ()
-    if observable in (Observable.POSITION, Observable.MARKER_POSITION):
+    if observable.is_of_places:
         places_m = 1e-3 * samples.reshape(len(samples), -1, 3)
         markers_m, paths = places_m[-1], _paths(places_m)
     reference = reference_path(experiment, band)

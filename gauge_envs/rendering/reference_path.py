@@ -5,10 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from gauge_envs.experiments.experiment import Experiment
-from gauge_envs.observables.kinds import Observable
 from gauge_envs.references.band import Band
 from gauge_envs.references.kind import Kind
 from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scoring.user_file.likely_mistakes import start_values
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -36,21 +36,10 @@ def reference_path(experiment: Experiment, band: Band | None) -> ReferencePath |
         experiment: The experiment with its effective initial state.
         band: Its band, or None.
     """
-    if band is None:
+    if band is None or not experiment.score.observable.is_of_places:
         return None
-    scene = experiment.scene
-    observable = experiment.score.observable
-    if observable is Observable.POSITION:
-        names = list(experiment.recorded)
-        start_m = np.array([scene.body(name).pose.position_m for name in names])
-    elif observable is Observable.MARKER_POSITION and scene.markers is not None:
-        start_m = np.array(scene.markers.positions_m)
-        names = [f"marker-{index}" for index in range(len(start_m))]
-    else:
-        return None
-    start_mm = 1e3 * start_m.ravel()
-    if len(start_mm) != band.projection.shape[1]:
-        return None
+    start_mm = start_values(experiment)
+    names = [name.rpartition(".")[0] for name in experiment.coordinates[::3]]
     deviation = band.mean - band.projection @ start_mm
     places_m = 1e-3 * (
         start_mm + deviation @ np.linalg.pinv(band.projection).T

@@ -169,7 +169,7 @@ def _with_its_trial(
     if shots is None:
         return experiment
     trial_number = origin.jitter.get("trial")
-    trials = shots.trials() if trial_number is None else (trial_number,)
+    trials = shots.trials() if trial_number is None else (int(trial_number),)
     candidates = [with_trial(experiment, trial) for trial in trials]
     return min(
         candidates, key=lambda candidate: length_of(start_values(candidate) - start)
@@ -191,7 +191,7 @@ def _experiment_of_file(
     reference: DataSource | str,
 ) -> Experiment:
     """Return the experiment of the arguments, or else of the file."""
-    if origin.has_asset and variant is None and parameters is None:
+    if origin.asset and variant is None and parameters is None:
         result = load_result(file)
         if result.is_edited and "scene" not in result.asset:
             raise TrajectoryFileError(
@@ -206,7 +206,7 @@ def _experiment_of_file(
             f"{file}: the file has no id. Give one, as --id GAUGE/SlopeSlider-2-wood."
         )
     if parameters is None:
-        known = isinstance(origin.parameters, str | dict) and not origin.has_asset
+        known = isinstance(origin.parameters, str | dict) and not origin.asset
         parameters = origin.parameters if known else "published"
     if origin.id is None:
         return load_experiment(name, parameters, reference=reference)
@@ -214,7 +214,7 @@ def _experiment_of_file(
         if variant is None:
             recorded_variant(origin.id, origin.task_file)
         experiment = load_experiment(name, parameters, reference=reference)
-        file_id = origin.id if origin.has_asset else find_variant(origin.id).id
+        file_id = origin.id if origin.asset else find_variant(origin.id).id
         if file_id != experiment.id:
             raise ValueError(
                 f"the id in the file is {origin.id!r}, not {experiment.id}"

@@ -21,7 +21,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gauge_envs.errors import ParameterError
 from gauge_envs.scene.geometry import FloatArray, NonNegative, Positive, Vector
 
 
@@ -35,9 +34,6 @@ class Air:
         tangential_coefficient: C_t, skin friction of both sides of a plate that moves in its own plane.
         lift_coefficient: C_l, slope of the lift over the angle of incidence [1/rad].
         wind_m_per_s: Velocity of the air [m/s], in the world frame.
-
-    Raises:
-        ParameterError: A number is not finite, the density is not positive, or a coefficient is negative.
     """
 
     density_kg_per_m3: Positive
@@ -45,17 +41,6 @@ class Air:
     tangential_coefficient: NonNegative = 0.0
     lift_coefficient: NonNegative = 0.0
     wind_m_per_s: Vector = (0.0, 0.0, 0.0)
-
-    def __post_init__(self) -> None:
-        for name, value in vars(self).items():
-            if not np.isfinite(value).all():
-                raise ParameterError(f"air: {name} is {value}: give finite numbers")
-            if name != "wind_m_per_s" and value < 0.0:
-                raise ParameterError(f"air: {name} is {value}: give 0 or more")
-        if self.density_kg_per_m3 == 0.0:
-            raise ParameterError(
-                "air: density_kg_per_m3 is 0: give a positive density, or a scene without air"
-            )
 
     def forces_n(
         self, areas_m2: FloatArray, velocities_m_per_s: FloatArray

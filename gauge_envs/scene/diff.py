@@ -2,24 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields, is_dataclass, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, fields, is_dataclass
 from enum import StrEnum
 from typing import Any
 
 import numpy as np
 
 from gauge_envs.scene.air import Air
-from gauge_envs.scene.bodies import (
-    Attachment,
-    Cloth,
-    Contact,
-    RigidBody,
-    Rod,
-    Rope,
-    SoftBody,
-)
-from gauge_envs.scene.drivers import Driver, DriverMotion
+from gauge_envs.scene.bodies import Attachment, Contact, Hinge, Tether
+from gauge_envs.scene.drivers import Driver
 from gauge_envs.scene.scene import Scene
 
 MAX_NAMES = 4
@@ -69,79 +61,67 @@ class Change:
         if not self.field:
             return f"{self.entry}: {'added' if self.before is None else 'removed'}"
         difference = _difference(self.before, self.after)
+        name = ".".join(self.field)
         if self.others:
-            title, difference = (
-                f"{self.entry} and {self.others} more",
-                f"{difference}, ...",
-            )
-        else:
-            title = self.entry
-        return f"{title}: {'.'.join(self.field)} {difference}"
+            return f"{self.entry} and {self.others} more: {name} {difference}, ..."
+        return f"{self.entry}: {name} {difference}"
 
 
-CONSTANTS: Mapping[type, frozenset[str]] = {
-    RigidBody: frozenset({"mass_kg", "inertia_kg_m2"}),
-    Cloth: frozenset(
-        {
-            "mass_kg",
-            "areal_density_kg_per_m2",
-            "thickness_m",
-            "stretch_stiffness_n_per_m",
-            "shear_stiffness_n_per_m",
-            "bend_stiffness_n_m_per_rad",
-        }
-    ),
-    SoftBody: frozenset({"mass_kg", "young_modulus_pa", "poisson_ratio"}),
-    Rope: frozenset({"mass_kg", "young_modulus_pa"}),
-    Rod: frozenset({"mass_kg", "young_modulus_pa", "poisson_ratio"}),
-    Contact: frozenset({"friction", "restitution", "mode", "torsion_m", "rolling_m"}),
-    Air: frozenset(
-        {
-            "density_kg_per_m3",
-            "normal_coefficient",
-            "tangential_coefficient",
-            "lift_coefficient",
-        }
-    ),
-}
-"""Fields that hold constants, by class."""
+CONSTANTS = frozenset(
+    {
+        "mass_kg",
+        "inertia_kg_m2",
+        "areal_density_kg_per_m2",
+        "thickness_m",
+        "stretch_stiffness_n_per_m",
+        "shear_stiffness_n_per_m",
+        "bend_stiffness_n_m_per_rad",
+        "young_modulus_pa",
+        "poisson_ratio",
+        "friction",
+        "restitution",
+        "mode",
+        "torsion_m",
+        "rolling_m",
+        "density_kg_per_m3",
+        "normal_coefficient",
+        "tangential_coefficient",
+        "lift_coefficient",
+    }
+)
+"""Fields of bodies, contacts and air that hold constants."""
 
 STARTS = frozenset({"pose", "linear_velocity_m_per_s", "angular_velocity_rad_per_s"})
 """Fields of a body that hold its initial state."""
 
-LABELS: Mapping[type, frozenset[str]] = {
-    Driver: frozenset({"provenance"}),
-    DriverMotion: frozenset({"residual_rate"}),
-}
-"""Fields without effect on a motion without actions, by class."""
+LABELS = frozenset({"provenance", "residual_rate"})
+"""Fields of drivers without effect on a motion without actions."""
 
 
 def scene_changes(before: Scene, after: Scene) -> Iterator[Change]:
     """Yield each difference between two scenes, field by field."""
-    if before == after:
-        return
     for field in fields(Scene):
         old, new = getattr(before, field.name), getattr(after, field.name)
-        if not field.compare or old == new:
+        if old == new:
             continue
-        if isinstance(old, tuple) and isinstance(new, tuple):
+        if isinstance(old, tuple):
             yield from _group_changes(before, field.name, old, new)
-        elif isinstance(old, Air) and isinstance(new, Air):
-            yield from _field_changes("air", (), old, new)
+        elif is_dataclass(old) and is_dataclass(new):
+            yield from _changes(field.name, (), old, new)
         else:
-            kind = (
-                _kind_of_air(old, new) if field.name == "air" else ChangeKind.STRUCTURE
-            )
             yield Change(
-                kind=kind, entry="scene", field=(field.name,), before=old, after=new
+                kind=_kind_of_still_air(old or new),
+                entry="scene",
+                field=(field.name,),
+                before=old,
+                after=new,
             )
 
 
-def _kind_of_air(before: Air | None, after: Air | None) -> ChangeKind:
-    """Return the kind of air that is added or removed: still air is a constant, wind is not."""
-    air = before or after
-    has_wind = air is not None and any(air.wind_m_per_s)
-    return ChangeKind.STRUCTURE if has_wind else ChangeKind.CONSTANT
+def _kind_of_still_air(value: Any) -> ChangeKind:
+    """Return the kind of what is added to a scene or removed: still air is a constant, all else a structure."""
+    is_still = isinstance(value, Air) and not any(value.wind_m_per_s)
+    return ChangeKind.CONSTANT if is_still else ChangeKind.STRUCTURE
 
 
 def _group_changes(
@@ -149,25 +129,26 @@ def _group_changes(
 ) -> Iterator[Change]:
     """Yield the changes of a group such as bodies or contacts; entries without a match are added or removed."""
     old, new = _titled(before), _titled(after)
-    structure = ChangeKind.STRUCTURE
-    for title, entry in old.items():
-        if title not in new:
-            yield Change(kind=structure, entry=title, before=entry)
-    for title, entry in new.items():
-        if title not in old:
-            yield Change(kind=structure, entry=title, after=entry)
-    common = [title for title in old if title in new]
     free = {body.name for body in scene.dynamic_bodies} | scene.free_cloths
+    unmatched = [title for title in (*old, *new) if not (title in old and title in new)]
+    for title in unmatched:
+        yield Change(
+            kind=ChangeKind.STRUCTURE,
+            entry=title,
+            before=old.get(title),
+            after=new.get(title),
+        )
+    common = tuple(title for title in old if title in new)
+    order = tuple(title for title in new if title in old)
     for title in common:
-        yield from _entry_changes(title, old[title], new[title], is_free=title in free)
-    order = [title for title in new if title in old]
+        yield from _changes(title, (), old[title], new[title], is_free=title in free)
     if common != order:
         yield Change(
             kind=ChangeKind.LABEL,
             entry=group,
             field=("order",),
-            before=tuple(common),
-            after=tuple(order),
+            before=common,
+            after=order,
         )
 
 
@@ -183,72 +164,59 @@ def _titled(entries: Sequence[Any]) -> dict[str, Any]:
 
 
 def _title(entry: Any) -> str:
-    if isinstance(entry, Contact):
-        return f"contact {_side(entry.first)}/{_side(entry.second)}"
-    if isinstance(entry, Attachment):
-        return f"attachment of {entry.deformable} to {entry.to}"
-    name = getattr(entry, "name", None)
-    return (
-        name if name is not None else f"{type(entry).__name__.lower()} of {entry.body}"
-    )
+    match entry:
+        case Contact():
+            return f"contact {_side(entry.first)}/{_side(entry.second)}"
+        case Attachment():
+            return f"attachment of {entry.deformable} to {entry.to}"
+        case Hinge() | Tether() | Driver():
+            return f"{type(entry).__name__.lower()} of {entry.body}"
+    return str(entry.name)
 
 
 def _side(names: Sequence[str]) -> str:
-    return (
-        "+".join(names)
-        if len(names) <= MAX_NAMES
-        else f"{names[0]}+...+{names[-1]} ({len(names)})"
-    )
+    if len(names) <= MAX_NAMES:
+        return "+".join(names)
+    return f"{names[0]}+...+{names[-1]} ({len(names)})"
 
 
-def _entry_changes(
-    title: str, before: Any, after: Any, *, is_free: bool
+def _changes(
+    title: str, path: tuple[str, ...], before: Any, after: Any, *, is_free: bool = False
 ) -> Iterator[Change]:
-    """Yield the changes of one entry; the pose of a body that is free to move is its start."""
-    for change in _field_changes(title, (), before, after):
-        if is_free and change.field[0] in STARTS:
-            change = replace(change, kind=ChangeKind.START)
-        yield change
+    """Yield the changes between two values of an entry, down to numbers.
 
-
-def _field_changes(
-    title: str, path: tuple[str, ...], before: Any, after: Any
-) -> Iterator[Change]:
-    """Yield the changes of the fields of two dataclasses of one type, down to numbers."""
-    for field in fields(before):
-        old, new = getattr(before, field.name), getattr(after, field.name)
-        if not field.compare or old == new:
-            continue
-        name = (*path, field.name)
-        for inner, old_part, new_part in _parts(name, old, new):
-            if is_dataclass(old_part) and type(old_part) is type(new_part):
-                yield from _field_changes(title, inner, old_part, new_part)
-            elif old_part != new_part:
-                kind = _kind(type(before), field.name)
-                yield Change(
-                    kind=kind, entry=title, field=inner, before=old_part, after=new_part
+    Args:
+        title: Title of the entry.
+        path: Path of the values in it.
+        before: Value before.
+        after: Value after.
+        is_free: Whether the entry is free to move, so that its pose is its start.
+    """
+    old, new = _parts(before), _parts(after)
+    if old and type(before) is type(after) and old.keys() == new.keys():
+        for name, part in old.items():
+            if part != new[name]:
+                yield from _changes(
+                    title, (*path, name), part, new[name], is_free=is_free
                 )
+        return
+    kind = ChangeKind.STRUCTURE
+    if is_free and path[0] in STARTS:
+        kind = ChangeKind.START
+    elif path[-1] in CONSTANTS:
+        kind = ChangeKind.CONSTANT
+    elif path[-1] in LABELS:
+        kind = ChangeKind.LABEL
+    yield Change(kind=kind, entry=title, field=path, before=before, after=after)
 
 
-def _parts(
-    path: tuple[str, ...], before: Any, after: Any
-) -> Iterator[tuple[tuple[str, ...], Any, Any]]:
-    """Yield path and values of a field; a tuple of dataclasses has a number for each."""
-    is_list = isinstance(before, tuple) and isinstance(after, tuple)
-    if is_list and len(before) == len(after) and all(map(is_dataclass, before)):
-        for number, (old, new) in enumerate(zip(before, after, strict=True)):
-            yield (*path, str(number)), old, new
-    else:
-        yield path, before, after
-
-
-def _kind(owner: type, name: str) -> ChangeKind:
-    """Return the kind of a field of a class."""
-    if name in CONSTANTS.get(owner, ()):
-        return ChangeKind.CONSTANT
-    if name in LABELS.get(owner, ()):
-        return ChangeKind.LABEL
-    return ChangeKind.STRUCTURE
+def _parts(value: Any) -> dict[str, Any]:
+    """Return the fields of a dataclass, or the dataclasses in a tuple by their numbers; empty for other values."""
+    if is_dataclass(value):
+        return {field.name: getattr(value, field.name) for field in fields(value)}
+    if isinstance(value, tuple) and all(map(is_dataclass, value)):
+        return {str(number): part for number, part in enumerate(value)}
+    return {}
 
 
 def _difference(before: Any, after: Any) -> str:
@@ -266,10 +234,9 @@ def _numbers(value: Any) -> Any:
     if not isinstance(value, int | float | tuple):
         return None
     try:
-        array = np.array(value, dtype=np.float64)
+        return np.array(value, dtype=np.float64)
     except (TypeError, ValueError):
         return None
-    return array
 
 
 def _text(value: Any) -> str:
@@ -278,8 +245,4 @@ def _text(value: Any) -> str:
     if isinstance(value, tuple):
         shown = [_text(entry) for entry in value[:MAX_NAMES]]
         return f"({', '.join(shown)}{', ...' if len(value) > MAX_NAMES else ''})"
-    return (
-        type(value).__name__
-        if is_dataclass(value) or not isinstance(value, str | int | None)
-        else str(value)
-    )
+    return type(value).__name__ if is_dataclass(value) else str(value)

@@ -14,10 +14,11 @@ from pathlib import Path
 import numpy as np
 from planted import NOISE, OUTSIDE, Robot, chain, record, same, with_cause, with_servos
 
+from gauge_envs.backends.mujoco.messages import mujoco_warnings
 from gauge_envs.tools.replay import LogMap, read_log
 from gauge_envs.tools.replay.causes import candidates
 from gauge_envs.tools.replay.constants import constant_values, fit_constants
-from gauge_envs.tools.replay.model import Replayer, build_setup, quiet_engine
+from gauge_envs.tools.replay.model import Replayer, build_setup
 
 FITTED = (
     "armature",
@@ -72,7 +73,7 @@ def errors_of(kind: str, seed: int) -> list[float]:
     # A command acts from the next physics step on.
     truth.delay_s[:] = np.ceil(planted.delay_s / truth.step_s - 1e-6) * truth.step_s
     replayer = Replayer(log, plain.model)
-    with quiet_engine():
+    with mujoco_warnings():
         fit, _ = fit_constants([(replayer, present)], [name], ())
         causes = {each.name: each for each in candidates(replayer, truth)}
     found = []

@@ -174,7 +174,11 @@ def test_a_parameter_set_equals_its_overrides(name):
     [
         (SLIDE, {"board.friction": 0.2}, "no motion depends on it.*: cube.friction$"),
         ("Funnel-satin", {"air.density": 1.2}, "did you mean density_kg_per_m3"),
-        (SLIDE, {"air.density_kg_per_m3": 1.2}, "air acts on cloth, and the scene has"),
+        (
+            SLIDE,
+            {"air.density_kg_per_m3": 1.2, "air.normal_coefficient": 1.0},
+            "the scene has air and no cloth",
+        ),
         (SLIDE, {"cub.friction": 0.3}, "names no body of the scene.*did you mean cube"),
         (SLIDE, {"cube.frction": 0.3}, "no constant of 'cube'; did you mean friction"),
         (SLIDE, {"cube.friction": "0.3"}, "should be a valid number"),

@@ -39,7 +39,7 @@ def trials():
 
 def state_at_bounce(shot):
     """Return the recorded velocity before and after the bounce [m/s] by the parabola of the frames."""
-    before = shot.velocity_m_per_s - [0.0, 0.0, GRAVITY * BOUNCE_S]
+    before = shot.start[7:10] - [0.0, 0.0, GRAVITY * BOUNCE_S]
     fall_m = 0.5 * GRAVITY * (TIMES_S - BOUNCE_S) ** 2
     place_m = shot.positions_m + np.outer(fall_m, [0.0, 0.0, 1.0])
     after = np.polyfit(TIMES_S[2:] - BOUNCE_S, place_m[2:], 1)[0]
@@ -50,7 +50,7 @@ def test_a_trial_starts_on_the_parabola_that_meets_the_table_at_the_bounce():
     assert len(trials()) == 57
     for setting, trial in trials():
         shot = single_shots(name_of(setting)).shot(trial)
-        place_m = shot.positions_m[0] + BOUNCE_S * shot.velocity_m_per_s
+        place_m = shot.positions_m[0] + BOUNCE_S * shot.start[7:10]
         place_m[2] -= 0.5 * GRAVITY * BOUNCE_S**2
         assert place_m == pytest.approx([0.0, 0.0, RADIUS_M], abs=2e-5)
 
@@ -83,7 +83,7 @@ def test_the_recorded_states_are_those_of_the_raw_flights(setting):
     for trial in shots.trials():
         shot = shots.shot(trial)
         is_flight = (facts["setting"] == SETTINGS[setting]) & (
-            facts["number"] == shot.source_number
+            facts["number"] == shots.arrays["source_number"][trial]
         )
         rows = slice(*facts["first"][int(is_flight.argmax()) :][:2])
         raw = free_parabolas(1e-5 * facts["time"][rows], 1e-4 * facts["position"][rows])

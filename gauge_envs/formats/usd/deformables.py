@@ -103,7 +103,7 @@ def read_air(prim: Usd.Prim) -> Air | None:
     for attribute in prim.GetAuthoredPropertiesInNamespace(AIR_PREFIX):
         name, value = attribute.GetName().removeprefix(AIR_PREFIX), attribute.Get()
         values[name] = vector(value) if name in AIR_KINDS else value
-    return Air(**values) if values else None
+    return TypeAdapter(Air).validate_python(values) if values else None
 
 
 def read_attachment(source: Source, prim: Usd.Prim, names: Names) -> Attachment | None:

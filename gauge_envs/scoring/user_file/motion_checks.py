@@ -217,9 +217,9 @@ def likely_rate_hz(band: Band | None, values: FloatArray) -> int | None:
 
     Args:
         band: The reference; None is unknown.
-        values: g(t), shape [row_count, coordinate_count].
+        values: g(t), shape [row_count, coordinate_count], at least one row.
     """
-    if band is None or not len(values):
+    if band is None:
         return None
     projected = band.project(values)
     if not MIN_MISFIT < _misfit(band, projected, FRAME_RATE_HZ) < np.inf:
@@ -253,9 +253,7 @@ def release_row(experiment: Experiment, times_s: FloatArray, values: FloatArray)
         times_s: Times of the rows [s], shape [row_count].
         values: g(t), shape [row_count, coordinate_count].
     """
-    observable = experiment.score.observable
-    is_position = observable in (Observable.POSITION, Observable.MARKER_POSITION)
-    if experiment.scene.drivers or not is_position:
+    if experiment.scene.drivers or not experiment.score.observable.is_of_places:
         return 0
     since_s = times_s - times_s[0]
     distances_mm = np.abs(values - values[0]).max(axis=1)

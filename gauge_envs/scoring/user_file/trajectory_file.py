@@ -20,13 +20,14 @@ from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from textwrap import shorten
 from typing import Any
 
 import numpy as np
+from pydantic import BaseModel, ConfigDict
 
 from gauge_envs.errors import TrajectoryFileError
 from gauge_envs.experiments.experiment import Experiment
@@ -81,23 +82,24 @@ class UserTrajectory:
     markers_m: FloatArray | None = None
 
 
-@dataclass(frozen=True, kw_only=True)
-class FileOrigin:
+class FileOrigin(BaseModel):
     """The origin that a trajectory file gives; only JSON files give one.
 
     Attributes:
         id: Id of the experiment.
         task_file: Task file of the user with the id, as `Result.task_file`.
         parameters: Parameters of the scene, not checked.
-        has_asset: Whether the file is a result whose scene came from an asset.
+        asset: `Result.asset` of a result whose scene came from an asset; not checked.
         jitter: Standard deviations of its initial state, or its trial, as `Result.jitter`; empty for neither.
     """
+
+    model_config = ConfigDict(allow_inf_nan=False)
 
     id: str | None = None
     task_file: str | None = None
     parameters: Any = None
-    has_asset: bool = False
-    jitter: Mapping[str, Any] = field(default_factory=dict)
+    asset: Any = None
+    jitter: dict[str, float] = {}
 
 
 def file_origin(file: Path) -> FileOrigin:
@@ -109,25 +111,7 @@ def file_origin(file: Path) -> FileOrigin:
     if file.suffix.lower() != ".json":
         return FileOrigin()
     with faults_of(file, TrajectoryFileError):
-        content = _json_object(file)
-        name, jitter = content.get("id"), content.get("jitter") or {}
-        if not isinstance(name, str | None):
-            raise ValueError(
-                f"id is {name!r}, expected text such as 'GAUGE/SlopeSlider-2-wood'"
-            )
-        task_file = content.get("task_file")
-        if not isinstance(task_file, str | None):
-            raise ValueError(f"task_file is {task_file!r:.40}, expected a path")
-        is_mapping = isinstance(jitter, dict)
-        if not is_mapping or not np.isfinite([*map(_number, jitter.values())]).all():
-            raise ValueError(f"jitter is {jitter!r:.40}, expected numbers")
-    return FileOrigin(
-        id=name,
-        task_file=task_file,
-        parameters=content.get("parameters"),
-        has_asset=bool(content.get("asset")),
-        jitter=jitter,
-    )
+        return FileOrigin.model_validate(_json_object(file))
 
 
 def read_trajectory(file: Path, experiment: Experiment) -> UserTrajectory:
@@ -146,46 +130,18 @@ def read_trajectory(file: Path, experiment: Experiment) -> UserTrajectory:
             raise ValueError(
                 f"unknown suffix {file.suffix!r}, expected {', '.join(readers)}"
             )
-        samples = readers[file.suffix.lower()](file, experiment)
-        return _at_frames(samples, experiment)
+        return _at_frames(experiment, *readers[file.suffix.lower()](file, experiment))
 
 
 # --- formats ---------------------------------------------------------------------------------------------------------
 
+Samples = tuple[FloatArray, FloatArray | None, FloatArray | None]
+"""g(t) at the rows of a file, shape [T, C]; their times [s], shape [T], if given; and markers [m], if given.
 
-@dataclass(frozen=True, kw_only=True)
-class _Samples:
-    """Content of a file.
-
-    Attributes:
-        values: g(t) at the samples, shape [T, C].
-        times_s: Times of the samples [s], shape [T]; those of the 30 Hz frames if the file has none.
-        has_times: Whether the file has times.
-        markers_m: Markers [m], shape [T, M, 3], or with fewer rows, the first 30 Hz frames.
-    """
-
-    values: FloatArray
-    times_s: FloatArray
-    has_times: bool
-    markers_m: FloatArray | None
-
-    @classmethod
-    def of(
-        cls,
-        values: FloatArray,
-        times_s: FloatArray | None,
-        markers_m: FloatArray | None = None,
-    ) -> _Samples:
-        """Return samples at times, or at the frames."""
-        has_times = times_s is not None
-        if times_s is None:
-            times_s = np.arange(len(values)) / FRAME_RATE_HZ
-        return cls(
-            values=values, times_s=times_s, has_times=has_times, markers_m=markers_m
-        )
+Markers have the shape [T, M, 3], or with fewer rows, those of the first 30 Hz frames."""
 
 
-def _read_csv(file: Path, experiment: Experiment) -> _Samples:
+def _read_csv(file: Path, experiment: Experiment) -> Samples:
     names = [*experiment.coordinates]
     rows: list[list[str]] = []
     places = []
@@ -212,7 +168,7 @@ def _read_csv(file: Path, experiment: Experiment) -> _Samples:
         names = _column_names(header, experiment)
     table = dict(zip(names, _numbers(rows, places, names, experiment).T, strict=True))
     columns = [table[name] for name in experiment.coordinates]
-    return _Samples.of(np.stack(columns, axis=1), table.get(TIME))
+    return np.stack(columns, axis=1), table.get(TIME), None
 
 
 def _column_names(header: Sequence[str], experiment: Experiment) -> list[str]:
@@ -242,7 +198,7 @@ def _column_names(header: Sequence[str], experiment: Experiment) -> list[str]:
     return names
 
 
-def _read_npz(file: Path, experiment: Experiment) -> _Samples:
+def _read_npz(file: Path, experiment: Experiment) -> Samples:
     with reading(file, TrajectoryFileError, "an NPZ file") as content:
         arrays = npz_arrays(content, ("g", TIME, "markers_m"))
     rows, times_s = (
@@ -251,7 +207,7 @@ def _read_npz(file: Path, experiment: Experiment) -> _Samples:
     return _of_rows(experiment, rows, times_s, arrays.get("markers_m"))
 
 
-def _read_json(file: Path, experiment: Experiment) -> _Samples:
+def _read_json(file: Path, experiment: Experiment) -> Samples:
     content = _json_object(file)
     recorded = content.get("trajectory")
     if "g" in content or not isinstance(recorded, dict):
@@ -271,7 +227,7 @@ def _of_rows(
     rows: Any,
     times_s: Any,
     markers_m: FloatArray | None = None,
-) -> _Samples:
+) -> Samples:
     """Return the samples of a list of rows, and of a list of times or None."""
     if not isinstance(rows, list):
         raise ValueError(f"no list 'g' of rows; {_expected(experiment)}")
@@ -279,13 +235,13 @@ def _of_rows(
     of_g = [f"g, {place}" for place in places]
     values = _numbers(rows, of_g, experiment.coordinates, experiment)
     if times_s is None:
-        return _Samples.of(values, None, markers_m)
+        return values, None, markers_m
     if not isinstance(times_s, list) or len(times_s) != len(rows):
         raise ValueError(
             f"{TIME}: expected a list of {len(rows)} times, as g has {len(rows)} rows"
         )
     column = _numbers([[time_s] for time_s in times_s], places, [TIME], experiment)
-    return _Samples.of(values, column[:, 0], markers_m)
+    return values, column[:, 0], markers_m
 
 
 def _numbers(
@@ -348,34 +304,51 @@ def _json_object(file: Path) -> dict[str, Any]:
 # --- times -----------------------------------------------------------------------------------------------------------
 
 
-def _at_frames(samples: _Samples, experiment: Experiment) -> UserTrajectory:
-    """Return a trajectory with a sample at each frame."""
+def _at_frames(
+    experiment: Experiment,
+    values: FloatArray,
+    given_s: FloatArray | None,
+    markers_m: FloatArray | None,
+) -> UserTrajectory:
+    """Return the trajectory of samples with a sample at each frame; see `Samples` for the arguments."""
     from scipy.interpolate import make_interp_spline
 
-    samples, rest_s = _without_rest(samples, experiment)
-    frame_count = experiment.frame_count
+    frame_count, observable = experiment.frame_count, experiment.score.observable
     frames_s = np.arange(frame_count) / FRAME_RATE_HZ
+    needed = (
+        f"{frame_count} frames are needed, 30 a second from 0 to {frames_s[-1]:.4f} s"
+    )
+    if len(values) < 2:
+        raise ValueError(f"{len(values)} rows; {needed}")
+    times_s = np.arange(len(values)) / FRAME_RATE_HZ if given_s is None else given_s
+    row = release_row(experiment, times_s, values) if markers_m is None else 0
+    rest_s = float(times_s[row] - times_s[0])
+    if row:
+        times_s, values = times_s[row:] - times_s[row], values[row:]
     rate_hz = None
-    if not samples.has_times:
-        rate_hz = likely_rate_hz(reference_band(experiment), samples.values)
-    times_s = _times_at_frames(samples, frames_s, rate_hz)
-    unit = experiment.score.observable.unit
-    lost = lost_marker(experiment.coordinates, unit, times_s, samples.values)
+    if given_s is None:
+        rate_hz = likely_rate_hz(reference_band(experiment), values)
+        if len(values) > frame_count:
+            rate = "another rate" if rate_hz is None else f"{rate_hz} Hz"
+            raise ValueError(
+                f"{len(values)} rows without {TIME} look like {rate}; {needed}. Add a column {TIME} [s]"
+            )
+    times_s = _times_at_frames(times_s, frames_s, needed)
+    lost = lost_marker(experiment.coordinates, observable.unit, times_s, values)
     if lost is not None:
         raise ValueError(str(lost))
     all_times_s = np.union1d(times_s, frames_s)
     all_times_s = all_times_s[(all_times_s >= 0.0) & (all_times_s <= frames_s[-1])]
     # A clock may start up to 5 ms late or stop up to 5 ms early: lines go on there.
-    values = make_interp_spline(times_s, samples.values, k=1)(all_times_s)
-    markers_m = None
-    if experiment.score.observable is Observable.MARKER_POSITION:
-        at_frames = values[frame_index(all_times_s, frame_count)]
+    all_values = make_interp_spline(times_s, values, k=1)(all_times_s)
+    if observable is Observable.MARKER_POSITION:
+        at_frames = all_values[frame_index(all_times_s, frame_count)]
         markers_m = 1e-3 * at_frames.reshape(frame_count, -1, 3)
-    elif samples.markers_m is not None:
-        markers_m = _markers_at_frames(experiment, times_s, samples.markers_m, frames_s)
+    elif markers_m is not None:
+        markers_m = _markers_at_frames(experiment, times_s, markers_m, frames_s)
     return UserTrajectory(
         times_s=all_times_s,
-        values=values,
+        values=all_values,
         interpolated_frames=len(np.setdiff1d(frames_s, times_s)),
         rest_s=rest_s,
         likely_rate_hz=rate_hz,
@@ -383,42 +356,19 @@ def _at_frames(samples: _Samples, experiment: Experiment) -> UserTrajectory:
     )
 
 
-def _without_rest(samples: _Samples, experiment: Experiment) -> tuple[_Samples, float]:
-    """Return samples from the release on, whose time is 0, and the duration of a long rest before it [s]."""
-    times_s, values = samples.times_s, samples.values
-    if samples.markers_m is not None or len(values) < 2:
-        return samples, 0.0
-    row = release_row(experiment, times_s, values)
-    if row == 0:
-        return samples, 0.0
-    after = replace(samples, times_s=times_s[row:] - times_s[row], values=values[row:])
-    return after, float(times_s[row] - times_s[0])
-
-
 def _times_at_frames(
-    samples: _Samples, frames_s: FloatArray, rate_hz: int | None
+    times_s: FloatArray, frames_s: FloatArray, needed: str
 ) -> FloatArray:
-    """Return the times of the samples [s]; a sample near a frame gets the time of the frame.
+    """Return the times of samples [s]; a sample near a frame gets the time of the frame.
 
     Args:
-        samples: Content of the file.
+        times_s: Times of the samples [s].
         frames_s: Times of the frames [s].
-        rate_hz: Likely rate of rows without times; None is unknown.
+        needed: What is needed, for errors.
 
     Raises:
         ValueError: Times do not increase from 0 to the last frame, or a frame has no sample nearby.
     """
-    row_count, times_s = len(samples.values), samples.times_s.copy()
-    needed = (
-        f"{len(frames_s)} frames are needed, 30 a second from 0 to {frames_s[-1]:.4f} s"
-    )
-    if not samples.has_times and row_count > len(frames_s):
-        rate = "another rate" if rate_hz is None else f"{rate_hz} Hz"
-        raise ValueError(
-            f"{row_count} rows without {TIME} look like {rate}; {needed}. Add a column {TIME} [s]"
-        )
-    if row_count < 2:
-        raise ValueError(f"{row_count} rows; {needed}")
     steps_s = np.diff(times_s)
     tolerance_s = min(FILE_TOLERANCE_S, 0.1 * float(np.median(steps_s))) + 1e-9
     if (steps_s <= 0.0).any():
@@ -431,7 +381,7 @@ def _times_at_frames(
             f"row 0: {TIME} is {times_s[0]:g}: subtract it, as an episode starts at 0"
         )
     if times_s[-1] < frames_s[-1] - MAX_JITTER_S:
-        raise ValueError(f"{row_count} rows end at {times_s[-1]:.4f} s; {needed}")
+        raise ValueError(f"{len(times_s)} rows end at {times_s[-1]:.4f} s; {needed}")
     nearest = nearest_sample(times_s, frames_s)
     distances_s = np.abs(times_s[nearest] - frames_s)
     is_far = distances_s > 0.5 / FRAME_RATE_HZ + tolerance_s
@@ -442,8 +392,9 @@ def _times_at_frames(
             f"{times_s[nearest[frame]]:.4f} s; {needed}. {_time_unit_text(times_s, frames_s)}"
         )
     is_near = distances_s <= tolerance_s
-    times_s[nearest[is_near]] = frames_s[is_near]
-    return times_s
+    snapped_s = times_s.copy()
+    snapped_s[nearest[is_near]] = frames_s[is_near]
+    return snapped_s
 
 
 def _time_unit_text(times_s: FloatArray, frames_s: FloatArray) -> str:

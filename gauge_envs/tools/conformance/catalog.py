@@ -61,12 +61,11 @@ def checks(only: Sequence[str] = ()) -> tuple[Check, ...]:
         UnknownNameError: A pattern matches no check.
     """
     listed = [check for module in MODULES for check in module.check.registered]
-    order = {name: place for place, name in enumerate(FIRST)}
 
     def place(check: Check) -> tuple[int, bool, bool]:
         # A body that does not rest at its height does not slide or roll as it should.
         is_later = check.id != "rest-heights"
-        first = order.get(check.id, len(order))
+        first = FIRST.index(check.id) if check.id in FIRST else len(FIRST)
         return first, check.level is not Level.RIGID, is_later
 
     known = sorted(listed, key=place)

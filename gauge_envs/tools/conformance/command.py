@@ -22,7 +22,6 @@ from gauge_envs.errors import ParameterError
 
 if TYPE_CHECKING:
     from gauge_envs.pages.table import Table
-    from gauge_envs.runs.workers import Worker
     from gauge_envs.tools.conformance import CheckResult
     from gauge_envs.tools.conformance.expectations import Expectation
     from gauge_envs.tools.conformance.results import EngineColumn
@@ -204,7 +203,7 @@ def _results(
     limits: tuple[float, float | None],
     is_apart: bool,
 ) -> Iterator[CheckResult]:
-    """Run the checks of columns and yield each result.
+    """Run the chosen checks of columns and `ALWAYS`; yield each result that its column keeps.
 
     Args:
         columns: The columns.
@@ -214,29 +213,21 @@ def _results(
     """
     from gauge_envs.backends.registry import is_bundled
     from gauge_envs.runs.workers import Worker
+    from gauge_envs.tools.conformance import Status
+    from gauge_envs.tools.conformance.results import run_column
 
     total = len(chosen) * len(columns)
     with Progress("checks", total, line_interval_s=LINE_INTERVAL_S) as progress:
         for column in columns:
+            is_here = is_bundled(column.backend) and not is_apart
             with Worker(*limits) as worker:
-                is_here = is_bundled(column.backend) and not is_apart
-                for result in _run(column, chosen, None if is_here else worker):
-                    progress.advance(f"{column.title}: {result.check}")
-                    yield result
-
-
-def _run(
-    column: EngineColumn, chosen: Sequence[str], worker: Worker | None
-) -> Iterator[CheckResult]:
-    """Run the chosen checks of a column and `ALWAYS`; yield each result that the column keeps."""
-    from gauge_envs.tools.conformance import Status
-    from gauge_envs.tools.conformance.results import run_column
-
-    for result in run_column(column, [*chosen, *ALWAYS], worker):
-        if result.check in chosen or result.status is Status.FAIL:
-            yield result
-        else:
-            del column.results[result.check]
+                process = None if is_here else worker
+                for result in run_column(column, [*chosen, *ALWAYS], process):
+                    if result.check in chosen or result.status is Status.FAIL:
+                        progress.advance(f"{column.title}: {result.check}")
+                        yield result
+                    else:
+                        del column.results[result.check]
 
 
 def _print(columns: Sequence[EngineColumn], form: Format) -> None:

@@ -5,7 +5,9 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import Any
+from typing import Annotated
+
+from pydantic import BaseModel, ConfigDict, StringConstraints, TypeAdapter
 
 from gauge_envs.errors import ParameterError, UnknownNameError
 from gauge_envs.reading import reading
@@ -28,8 +30,12 @@ def has_moved(earlier: float | None, result: CheckResult) -> bool:
 # --- known failures --------------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, kw_only=True)
-class KnownFailure:
+FORM = 'write slide = { measured = 0.513, reason = "no model of it" }, and "cloth-*" = "no cloth" in [unsupported]'
+
+Reason = Annotated[str, StringConstraints(strip_whitespace=True, min_length=1)]
+
+
+class KnownFailure(BaseModel):
     """A failure that the repository of an engine expects.
 
     Attributes:
@@ -37,7 +43,9 @@ class KnownFailure:
         measured: The measured value; None if the check raises an error.
     """
 
-    reason: str
+    model_config = ConfigDict(extra="forbid", strict=True)
+
+    reason: Reason
     measured: float | None = None
 
 
@@ -98,37 +106,19 @@ def read_known_failures(file: Path) -> KnownFailures:
     Raises:
         ParameterError: The file cannot be read, an entry has no reason or no value, or a check does not exist.
     """
-    with reading(file, ParameterError) as content:
+    with reading(file, ParameterError, hint=FORM) as content:
         document = toml_document(content)
-        unsupported = document.pop("unsupported", {})
+        reasons = document.pop("unsupported", {})
         ids = [check.id for check in checks()]
         for name in document:
             if name not in ids:
                 raise UnknownNameError("check", name, [*ids, "unsupported"])
-        if not isinstance(unsupported, dict):
-            raise ValueError('unsupported is a table, as "cloth-*" = "rigid bodies"')
-        for pattern, reason in unsupported.items():
+        unsupported = TypeAdapter(dict[str, Reason]).validate_python(reasons)
+        for pattern in unsupported:
             if not any(fnmatchcase(name, pattern) for name in ids):
                 raise UnknownNameError("check", pattern, ids)
-            if not isinstance(reason, str) or not reason.strip():
-                raise ValueError(f"unsupported {pattern!r} needs a reason in words")
-        failures = {name: _known(file, name, entry) for name, entry in document.items()}
+        failures = TypeAdapter(dict[str, KnownFailure]).validate_python(document)
         return KnownFailures(failures=failures, unsupported=unsupported)
-
-
-def _known(file: Path, name: str, entry: Any) -> KnownFailure:
-    try:
-        failure = KnownFailure(**entry)
-        is_valid = bool(failure.reason.strip())
-        is_valid &= isinstance(failure.measured, int | float | None)
-    except (TypeError, AttributeError):
-        is_valid = False
-    if not is_valid:
-        raise ParameterError(
-            f"{file}: {name} needs a value and a reason, as {name} = "
-            '{ measured = 0.513, reason = "no model of it" }; a run without its line prints the value'
-        )
-    return failure
 
 
 # --- an earlier version of an engine ---------------------------------------------------------------------------------

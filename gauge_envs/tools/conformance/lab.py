@@ -22,6 +22,7 @@ from gauge_envs.errors import (
     UnsupportedSceneError,
 )
 from gauge_envs.fixtures.recording import Recording, UnsupportedError, raised_at, record
+from gauge_envs.names import first_names
 from gauge_envs.scene import Contact, Motion, RigidBody, Scene, Sphere
 from gauge_envs.scene.diff import scene_changes
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
@@ -165,8 +166,7 @@ class Lab:
             return ""
         (scene, _), self._given = self._given[-1], []
         names = [body.name for body in (*scene.bodies, *scene.deformables)]
-        more = f" and {len(names) - 3} more" if names[3:] else ""
-        return f"; in the scene of {', '.join(names[:3])}{more}"
+        return f"; in the scene of {first_names(names, 3)}"
 
     def check_scenes(self) -> None:
         """Check that the engine did not change the scenes that it received since the last call.

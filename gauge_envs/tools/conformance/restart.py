@@ -399,18 +399,13 @@ def life(lab: Lab) -> Measurement:
     Source: a training run resets a simulation a million times.
     """
     scene = lively(lab)
+    sizes_mb = []
     with closing(lab.build(scene)) as simulation:
-        _reset(simulation, scene, 50)
-        size_mb = _resident_mb()
-        _reset(simulation, scene, 150)
-        growth_mb = _resident_mb() - size_mb
-    return Measurement(measured=max(growth_mb, 0.0))
-
-
-def _reset(simulation: Simulation, scene: Scene, count: int) -> None:
-    """Reset a simulation some times, and run an interval after each reset."""
-    for _ in range(count):
-        run_again(simulation, scene, SAMPLE_INTERVAL_S)
+        for count in (50, 150):
+            for _ in range(count):
+                run_again(simulation, scene, SAMPLE_INTERVAL_S)
+            sizes_mb.append(_resident_mb())
+    return Measurement(measured=max(sizes_mb[1] - sizes_mb[0], 0.0))
 
 
 def _course(backend: str, settings: Mapping[str, Any] | None) -> Recording:

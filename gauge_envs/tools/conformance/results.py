@@ -12,6 +12,7 @@ from typing import Any
 from gauge_envs.backends import backend, backend_names
 from gauge_envs.errors import GaugeError, ResultFileError, UnknownNameError
 from gauge_envs.files import json_ready
+from gauge_envs.names import first_names
 from gauge_envs.pages.document import save_file
 from gauge_envs.reading import reading
 from gauge_envs.registry import package_versions
@@ -50,8 +51,7 @@ def levels(results: Sequence[CheckResult]) -> dict[str, str]:
         elif len(unsupported) == len(ran):
             verdicts[level] = "unsupported"
         elif needed:
-            rest = f" and {len(needed) - 1} more" if needed[1:] else ""
-            verdicts[level] = f"incomplete, {needed[0]}{rest} unsupported"
+            verdicts[level] = f"incomplete, {first_names(needed, 1)} unsupported"
     return verdicts
 
 
@@ -165,17 +165,6 @@ def run_column(
 
 
 KIND = "gauge-envs conformance matrix"
-ABOUT = (
-    "backend",
-    "name",
-    "settings",
-    "reason",
-    "versions",
-    "gauge_envs",
-    "made",
-)
-"""Fields of a column in a file, beside its results."""
-
 STORED = ("status", "expected", "measured", "width", "diagnosis", "missing")
 """Fields of a result in a file, beside the fingerprint of its check."""
 
@@ -184,13 +173,13 @@ def write_columns(columns: Sequence[EngineColumn], path: Path) -> Path:
     """Write columns as JSON and return the path; `read_columns` reads them back."""
     rows = []
     for column in columns:
-        values = {key: getattr(column, key) for key in ABOUT}
-        values["results"] = {
+        results = {
             name: {"fingerprint": result.of.fingerprint}
             | {key: getattr(result, key) for key in STORED}
             for name, result in column.results.items()
         }
-        rows.append(json.dumps(json_ready(values), ensure_ascii=False))
+        values = json_ready(vars(column) | {"results": results})
+        rows.append(json.dumps(values, ensure_ascii=False))
     text = ",\n".join(rows)
     return save_file(path, f'{{"kind": "{KIND}", "columns": [\n{text}\n]}}\n')
 
@@ -212,7 +201,7 @@ def read_columns(path: Path) -> list[EngineColumn]:
 
 def _read_column(row: Mapping[str, Any]) -> EngineColumn:
     known = {check.id: check for check in checks()}
-    column = EngineColumn(**{key: row[key] for key in ABOUT})
+    column = EngineColumn(**{**row, "results": {}})
     for name, stored in row["results"].items():
         check = known.get(name)
         if check is None or stored["fingerprint"] != check.fingerprint:

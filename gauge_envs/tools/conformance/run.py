@@ -83,18 +83,16 @@ def _run_there(
         )
 
 
-_labs: list[tuple[str, Settings, Lab]] = []
+_labs: dict[str, Lab] = {}
 """Labs of this process by engine and settings. They last, so that checks share recordings."""
 
 
 def _run_here(backend: str, settings: Settings, check: Check) -> CheckResult:
     """Run a check in the lab of this process."""
-    for name, used, lab in _labs:
-        if (name, used) == (backend, settings):
-            return run_check(lab, check)
-    lab = Lab(find_backend(backend), settings)
-    _labs.append((backend, settings, lab))
-    return run_check(lab, check)
+    key = f"{backend} {settings}"
+    if key not in _labs:
+        _labs[key] = Lab(find_backend(backend), settings)
+    return run_check(_labs[key], check)
 
 
 # --- one check -------------------------------------------------------------------------------------------------------

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -17,7 +18,6 @@ from gauge_envs.fixtures.parts import (
     fixed_box,
     thrown,
 )
-from gauge_envs.fixtures.recording import Recording
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2 as G,
     ConvexUnion,
@@ -132,13 +132,8 @@ def _way(track: _Track) -> FloatArray:
     return np.array([[cosine, sine, 0.0], [-sine, cosine, 0.0]])
 
 
-def _runs(lab: Lab, tracks: Mapping[str, _Track], rolls: bool) -> Recording:
-    """Record a brick that slides, or a ball that rolls, on each track that the engine builds."""
-    names = lab.buildable(list(tracks), lambda some: _scene(tracks, some, rolls))
-    return lab.rollout(_scene(tracks, names, rolls))
-
-
-def _scene(tracks: Mapping[str, _Track], names: Sequence[str], rolls: bool) -> Scene:
+def _scene(tracks: Mapping[str, _Track], names: Sequence[str], *, rolls: bool) -> Scene:
+    """Return a brick that slides, or a ball that rolls, on each named track."""
     bodies, contacts = [], []
     for at, name in enumerate(names):
         track = tracks[name]
@@ -161,9 +156,14 @@ def _scene(tracks: Mapping[str, _Track], names: Sequence[str], rolls: bool) -> S
 
 
 def _off_law(
-    rollout: Recording, tracks: Mapping[str, _Track], slows_m_per_s2: float
+    lab: Lab, tracks: Mapping[str, _Track], slows_m_per_s2: float = 0.0
 ) -> Measurement:
-    """Measure the largest distance of a body from its path by the law, with the cause from the twin of one box."""
+    """Measure the largest distance from its path of a brick that slides and slows, or of a ball that rolls.
+
+    The cause follows from the twin on one box.
+    """
+    scene_of = partial(_scene, tracks, rolls=not slows_m_per_s2)
+    rollout = lab.rollout(scene_of(lab.buildable(list(tracks), scene_of)))
     times = rollout.times_s
     off_mm, hints, causes = {}, {}, {}
     for each in rollout.scene.dynamic_bodies:
@@ -211,7 +211,7 @@ def seam_slide(lab: Lab) -> Measurement:
 
     Source: Coulomb; the upper faces of flush solids are one plane.
     """
-    return _off_law(_runs(lab, SLIDES, rolls=False), SLIDES, FRICTION * G)
+    return _off_law(lab, SLIDES, FRICTION * G)
 
 
 @check(
@@ -231,4 +231,4 @@ def seam_roll(lab: Lab) -> Measurement:
 
     Source: rolling without slip on a plane; the upper faces of flush solids are one plane.
     """
-    return _off_law(_runs(lab, ROLLS, rolls=True), ROLLS, 0.0)
+    return _off_law(lab, ROLLS)

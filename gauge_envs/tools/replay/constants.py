@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from gauge_envs.backends.mujoco.messages import mujoco_warnings
 from gauge_envs.errors import ParameterError
 from gauge_envs.files import write_whole
 from gauge_envs.names import first_names
@@ -29,7 +30,7 @@ from gauge_envs.tools.replay.judge import (
     load_setups,
 )
 from gauge_envs.tools.replay.log import LogMap
-from gauge_envs.tools.replay.model import Replayer, Setup, quiet_engine
+from gauge_envs.tools.replay.model import Replayer, Setup
 from gauge_envs.tools.replay.paste import Change
 from gauge_envs.tools.replay.report import fitted_values
 from gauge_envs.tools.replay.schema import ConstantsLine, Value
@@ -62,7 +63,7 @@ def fit_logs(
         FileError: A file cannot be used.
         ParameterError: A name is none of the model.
     """
-    with quiet_engine():
+    with mujoco_warnings():
         pairs = load_setups(logs, model, mapped)
         fit, unknown = fit_constants(pairs, names, joints)
         present = load_setups(tests or logs, model, mapped)

@@ -146,7 +146,7 @@ def _base_conventions(mapped: LogMap) -> Iterator[tuple[str, LogMap]]:
                 yield text, mapped.model_copy(update={key: axes})
 
 
-def check_base(log: Log, model: mujoco.MjModel) -> None:
+def check_fixed_base(log: Log, model: mujoco.MjModel) -> None:
     """Name the motion of a base that is fixed in the model."""
     is_free = (model.jnt_type == mujoco.mjtJoint.mjJNT_FREE.value).any()
     moved = np.ptp(log.base_pose, axis=0).max(initial=0.0)

@@ -9,8 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import OptimizeResult, least_squares, lsq_linear
-from scipy.stats import t as student
 
+from gauge_envs.scoring.interval import student_t
 from gauge_envs.tools.replay.causes import Cause, ParameterGroup, change_setup
 from gauge_envs.tools.replay.log import FloatArray
 from gauge_envs.tools.replay.model import IntArray, Replayer, Setup
@@ -514,5 +514,5 @@ def fit_values(fit: Fit, problems: Sequence[Problem]) -> Fit:
     spread = inverse @ gradients.T @ gradients @ inverse * pieces / freedom
     # The noise, and what is left as if it were noise, give the narrowest interval.
     variance = np.maximum(np.diag(spread), np.abs(np.diag(inverse)))
-    half_width = student.ppf(0.975, freedom) * np.sqrt(variance)
+    half_width = student_t(freedom) * np.sqrt(variance)
     return replace(fit, numbers=found.x, half_width=half_width)

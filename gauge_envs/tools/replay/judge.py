@@ -6,13 +6,14 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from scipy.stats import t as student
 
+from gauge_envs.backends.mujoco.messages import mujoco_warnings
 from gauge_envs.errors import FileError, ParameterError
 from gauge_envs.optional import needs_extra
 from gauge_envs.pages.document import Document, Paragraph, Tone
 from gauge_envs.pages.table import Column, Table
 from gauge_envs.reading import reading
+from gauge_envs.scoring.interval import mean_half_width
 from gauge_envs.tools.replay.causes import candidates, change_setup
 from gauge_envs.tools.replay.log import FloatArray, LogMap
 from gauge_envs.tools.replay.model import (
@@ -21,7 +22,6 @@ from gauge_envs.tools.replay.model import (
     joint_names,
     law_setups,
     load_model,
-    quiet_engine,
 )
 from gauge_envs.tools.replay.readers import read_log
 from gauge_envs.tools.replay.schema import ModelLine
@@ -48,7 +48,7 @@ def judge_models(
         FileError: A file cannot be used.
         ParameterError: The logs are too short, or a log and a model do not go together.
     """
-    with quiet_engine():
+    with mujoco_warnings():
         setups = []
         for model in models:
             is_values = model.suffix in YAML
@@ -140,9 +140,7 @@ def _errors(setups: Sequence[tuple[Replayer, Setup]], horizon_s: float) -> Float
 def _ratio(errors: FloatArray, nominal: FloatArray) -> FloatArray:
     """Return the geometric mean of ratios of errors, and its 95 % interval."""
     logarithms = np.log(np.maximum(errors, 1e-9) / np.maximum(nominal, 1e-9))
-    count = len(logarithms)
-    half = student.ppf(0.975, count - 1) * np.std(logarithms, ddof=1) / np.sqrt(count)
-    mean = np.mean(logarithms)
+    mean, half = np.mean(logarithms), mean_half_width(logarithms)
     return np.exp([mean, mean - half, mean + half])
 
 

@@ -16,7 +16,7 @@ from scipy.optimize import linear_sum_assignment
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.errors import FileError
-from gauge_envs.names import first_names
+from gauge_envs.names import first_names, nearest
 from gauge_envs.reading import reading
 from gauge_envs.text import toml_document
 
@@ -36,6 +36,38 @@ SAMPLED = (
 
 COMMANDS = ("action", "ctrl", "target", "tau")
 """Kinds of command, the one that is used first where a log has several."""
+
+COLUMN_NAMES = {
+    "command_time": ("command_t",),
+    "time": ("t", "time_s", "timestamp", "stamp", "header.stamp"),
+    "target": ("command_rad", "command", "q_des"),
+    "position": (
+        "qpos",
+        "q",
+        "position_rad",
+        "pos",
+        "joint_pos",
+        "observation.state",
+    ),
+    "velocity": ("dq", "qd", "qvel", "vel", "velocity_rad_per_s", "joint_vel"),
+    "action": ("actions",),
+    "ctrl": (),
+    "tau": ("torque", "effort"),
+    "policy_observation": ("obs", "policy_obs"),
+    "base_position": ("base_pos",),
+    "base_quaternion": ("base_quat",),
+    "base_linear_velocity": ("base_linvel",),
+    "base_angular_velocity": ("base_angvel",),
+    "episode": ("episode_index",),
+}
+"""Other names of each quantity in a file; a column of one joint adds a separator and the joint, as `q_hip`."""
+
+QUANTITIES = {
+    name: quantity
+    for quantity, names in COLUMN_NAMES.items()
+    for name in (quantity, *names)
+}
+"""Quantity by name."""
 
 ANGLES = ("position", "target", "ctrl")
 """Quantities that contain the offset of a joint; with the velocities they have the unit of the map."""
@@ -108,6 +140,16 @@ def _known_axes(text: str) -> str:
 
 
 Axes: TypeAlias = Annotated[str, AfterValidator(_known_axes)]
+Titles: TypeAlias = dict[str, str | list[str]]
+
+
+def _known_quantities(titles: Titles) -> Titles:
+    for name in titles:
+        if name not in COLUMN_NAMES:
+            quantity = QUANTITIES.get(name)
+            hint = f"write {quantity}" if quantity else nearest(name, COLUMN_NAMES)
+            raise ValueError(f"{name!r} is no quantity of a log; {hint}")
+    return titles
 
 
 class LogMap(BaseModel, extra="forbid"):
@@ -123,7 +165,7 @@ class LogMap(BaseModel, extra="forbid"):
     observation: list[str] = []
     observation_scale: dict[str, float] = {}
     order: list[str] = []
-    columns: dict[str, str | list[str]] = {}
+    columns: Annotated[Titles, AfterValidator(_known_quantities)] = {}
     interval_s: float | None = None
     episodes: list[int] = []
     joints: dict[str, JointMap] = {}

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -88,17 +86,6 @@ class Setup:
         begin_s = time_s - self.delay_s
         mean = (area(begin_s + self.step_s) - area(begin_s)) / self.step_s
         return self.scale * mean + self.offset
-
-
-@contextmanager
-def quiet_engine() -> Iterator[None]:
-    """Discard the engine's warnings: a trial may make the simulation unstable, and its error says so."""
-    handler = mujoco.get_mju_user_warning()
-    mujoco.set_mju_user_warning(lambda _: None)
-    try:
-        yield
-    finally:
-        mujoco.set_mju_user_warning(handler)
 
 
 def load_model(file: Path, control: ControlMap | None = None) -> mujoco.MjModel:

@@ -21,44 +21,19 @@ from gauge_envs.optional import needs_extra
 from gauge_envs.reading import content_of, faults_of, reading
 from gauge_envs.text import csv_text, json_document
 from gauge_envs.tools.replay.checks import check_log
-from gauge_envs.tools.replay.log import COMMANDS, FloatArray, Log, LogMap
+from gauge_envs.tools.replay.log import (
+    COLUMN_NAMES,
+    COMMANDS,
+    QUANTITIES,
+    FloatArray,
+    Log,
+    LogMap,
+)
 
 Table: TypeAlias = dict[str, FloatArray]
 """Columns of a quantity by joint."""
 Columns: TypeAlias = list[tuple[str, Any]]
 """Titles and values of a file."""
-
-COLUMN_NAMES = {
-    "command_time": ("command_t",),
-    "time": ("t", "time_s", "timestamp", "stamp", "header.stamp"),
-    "target": ("command_rad", "command", "q_des"),
-    "position": (
-        "qpos",
-        "q",
-        "position_rad",
-        "pos",
-        "joint_pos",
-        "observation.state",
-    ),
-    "velocity": ("dq", "qd", "qvel", "vel", "velocity_rad_per_s", "joint_vel"),
-    "action": ("actions",),
-    "ctrl": (),
-    "tau": ("torque", "effort"),
-    "policy_observation": ("obs", "policy_obs"),
-    "base_position": ("base_pos",),
-    "base_quaternion": ("base_quat",),
-    "base_linear_velocity": ("base_linvel",),
-    "base_angular_velocity": ("base_angvel",),
-    "episode": ("episode_index",),
-}
-"""Other names of each quantity in a file; a column of one joint adds a separator and the joint, as `q_hip`."""
-
-QUANTITIES = {
-    name: quantity
-    for quantity, names in COLUMN_NAMES.items()
-    for name in (quantity, *names)
-}
-"""Quantity by name."""
 
 LONGEST_FIRST = sorted(QUANTITIES, key=len, reverse=True)
 COLUMN = re.compile(

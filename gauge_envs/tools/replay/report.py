@@ -11,10 +11,11 @@ import mujoco
 import numpy as np
 from scipy.interpolate import make_interp_spline
 
+from gauge_envs.backends.mujoco.messages import mujoco_warnings
 from gauge_envs.pages.document import Document, Paragraph, Part, Tone
 from gauge_envs.pages.table import Column, Table
 from gauge_envs.tools.replay.causes import ZERO, Cause, candidates
-from gauge_envs.tools.replay.conventions import check_base, find_conventions
+from gauge_envs.tools.replay.conventions import check_fixed_base, find_conventions
 from gauge_envs.tools.replay.fit import THRESHOLDS, Fit, Interval, Problem
 from gauge_envs.tools.replay.log import FloatArray, Log, LogMap
 from gauge_envs.tools.replay.model import (
@@ -24,7 +25,6 @@ from gauge_envs.tools.replay.model import (
     joint_names,
     law_setups,
     load_model,
-    quiet_engine,
 )
 from gauge_envs.tools.replay.observation import (
     check_policy,
@@ -102,10 +102,10 @@ def replay(
     def read(changed: LogMap) -> list[Log]:
         logs = [read_log(file, joint_names(compiled), changed) for file in files]
         for each in logs:
-            check_base(each, compiled)
+            check_fixed_base(each, compiled)
         return logs
 
-    with quiet_engine():
+    with mujoco_warnings():
         mapped, mistakes = find_conventions(lambda m: read(m)[-1], compiled, given)
         logs = read(mapped)
         explanation, misfit = _explain(logs, compiled, advance)

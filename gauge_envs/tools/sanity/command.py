@@ -30,22 +30,6 @@ if TYPE_CHECKING:
     from gauge_envs.tools.sanity import Report
 
 
-FixOption = Annotated[
-    Path | None,
-    arguments.option(
-        arguments.OUTPUT,
-        "Write the model file and included ones with the fixes, and check them again.",
-        metavar="OUT.xml",
-    ),
-]
-
-
-OutOption = Annotated[
-    list[Path] | None,
-    arguments.target("Tables (.md) or results (.json)."),
-]
-
-
 def sanity(
     target: Annotated[
         str | None,
@@ -93,7 +77,14 @@ def sanity(
             "--strict",
         ),
     ] = False,
-    fix: FixOption = None,
+    fix: Annotated[
+        Path | None,
+        arguments.option(
+            arguments.OUTPUT,
+            "Write the model file and included ones with the fixes, and check them again.",
+            metavar="OUT.xml",
+        ),
+    ] = None,
     is_all: Annotated[
         bool,
         arguments.option(
@@ -102,7 +93,9 @@ def sanity(
             "--all",
         ),
     ] = False,
-    out: OutOption = None,
+    out: Annotated[
+        list[Path] | None, arguments.target("Tables (.md) or results (.json).")
+    ] = None,
     form: arguments.Form = Format.TEXT,
 ) -> int:
     """Check the physics of a robot model or an RL task, and name causes before effects.

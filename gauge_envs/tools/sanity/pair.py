@@ -13,6 +13,7 @@ import mujoco
 import numpy as np
 
 from gauge_envs.backends.mujoco.contact_table import COLUMNS, contact_pairs
+from gauge_envs.backends.mujoco.messages import mujoco_warnings
 from gauge_envs.backends.mujoco.options import overrides_contacts
 from gauge_envs.errors import UnknownNameError
 from gauge_envs.names import first_names
@@ -22,7 +23,7 @@ from gauge_envs.pages.text import digits_text
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.sanity.fixes.candidates import candidates_of, keeps_recipe
 from gauge_envs.tools.sanity.fixes.harm import changes_rebound, motion_harm
-from gauge_envs.tools.sanity.fixes.text_change import paste_text
+from gauge_envs.tools.sanity.fixes.text_change import attribute_text, paste_text
 from gauge_envs.tools.sanity.pair_bench import (
     PAIR_FIELDS,
     Bench,
@@ -32,7 +33,7 @@ from gauge_envs.tools.sanity.pair_bench import (
     touch_of,
     touching,
 )
-from gauge_envs.tools.sanity.robot.robot import Robot, geom_name, mujoco_warnings
+from gauge_envs.tools.sanity.robot.robot import Robot, geom_name
 from gauge_envs.tools.sanity.verdict import Settings, TrainingConfiguration
 
 Rule = Callable[[float, float], float]
@@ -411,7 +412,7 @@ def _pair_values(model: mujoco.MjModel) -> dict[str, Any]:
 def _pair_line(model: mujoco.MjModel, names: tuple[str, str]) -> str:
     """Return the explicit pair of a bench in MJCF."""
     texts = (
-        f' {key}="{" ".join(f"{n:g}" for n in np.atleast_1d(value))}"'
+        f' {key}="{attribute_text(value)}"'
         for key, value in _pair_values(model).items()
         if np.any(value)
     )

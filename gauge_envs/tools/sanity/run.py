@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 
+from gauge_envs.backends.mujoco.messages import mujoco_warnings
 from gauge_envs.registry import package_versions
 from gauge_envs.tools.sanity.causes import absorb, accept, entries
 from gauge_envs.tools.sanity.fixes.fix import FixSearch
@@ -13,7 +14,6 @@ from gauge_envs.tools.sanity.object_checks.measure import Measurements
 from gauge_envs.tools.sanity.readers import configuration as configuration_of
 from gauge_envs.tools.sanity.readers.gymnasium_env import Target
 from gauge_envs.tools.sanity.report import screen_text
-from gauge_envs.tools.sanity.robot.robot import mujoco_warnings
 from gauge_envs.tools.sanity.target_checks import check_result, selection
 from gauge_envs.tools.sanity.verdict import Report, SanityResult, TrainingConfiguration
 

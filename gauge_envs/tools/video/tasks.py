@@ -77,7 +77,11 @@ class VideoTask:
     @property
     def law(self) -> dict[str, float]:
         """Values of the law by metric: the column "real baseline" of the published table."""
-        return published_law()[self.id]
+        return {
+            metric: values["real_baseline"]
+            for (task, metric), values in published_values().items()
+            if task == self.id
+        }
 
     @property
     def scale_m_per_px(self) -> float:
@@ -118,15 +122,6 @@ def published_models() -> frozenset[str]:
     """Return the names of the models in Table 3 of GAUGE's paper."""
     names = {name for values in published_values().values() for name in values}
     return frozenset(names - {"real_baseline"})
-
-
-@cache
-def published_law() -> dict[str, dict[str, float]]:
-    """Return the column "real baseline" of Table 3 of GAUGE's paper by task and metric."""
-    laws: dict[str, dict[str, float]] = {}
-    for (task, metric), values in published_values().items():
-        laws.setdefault(task, {})[metric] = values["real_baseline"]
-    return laws
 
 
 @cache

@@ -160,14 +160,20 @@ def test_exactly_the_listed_failures_happen(broken, tmp_path, text, code, messag
     ("text", "message"),
     [
         ('slid = "low"', "unknown check 'slid'; did you mean slide,"),
-        ('slide = "low"', "slide needs a value and a reason, as slide = { measured"),
-        ("unsupported = 3", "unsupported is a table, as"),
-        ('[unsupported]\n"cloth-*" = 3', "'cloth-*' needs a reason in words"),
+        ('slide = "low"', "slide: Input should be a valid dictionary"),
+        ("unsupported = 3", "a valid dictionary (given: 3); write slide = { measured"),
+        ('[unsupported]\n"cloth-*" = 3', "cloth-*: Input should be a valid string"),
         ('[unsuported]\n"cloth-*" = "x"', "did you mean unsupported?"),
-        ('slide = { measured = "9", reason = "low" }', "slide needs a value and a"),
-        ('slide = { measured = 9.0, reason = " " }', "slide needs a value and a"),
-        ('slide = { value = 9.0, reason = "low" }', "slide needs a value and a"),
-        ('[unsupported]\n"cloth-*" = ""', "unsupported 'cloth-*' needs a reason"),
+        (
+            'slide = { measured = "9", reason = "low" }',
+            "slide.measured: Input should be",
+        ),
+        (
+            'slide = { measured = 9.0, reason = " " }',
+            "slide.reason: String should have",
+        ),
+        ('slide = { value = 9.0, reason = "low" }', "slide.value: unknown key; write"),
+        ('[unsupported]\n"cloth-*" = ""', "cloth-*: String should have at least 1"),
     ],
 )
 def test_a_wrong_list_is_rejected_before_anything_runs(broken, tmp_path, text, message):
@@ -316,15 +322,14 @@ def test_a_baseline_decides_the_exit_code(column, tmp_path, broken):
 def test_results_so_far_are_in_the_file_where_a_run_is_stopped(
     tmp_path, monkeypatch, gauge
 ):
-    from gauge_envs.tools.conformance import command
-
     file = tmp_path / "part.json"
 
     def stopped(column, chosen, worker):
-        yield next(run_column(column, chosen, None))
+        yield next(run_column(column, ["time"], None))
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(command, "_run", stopped)
+    place = "gauge_envs.tools.conformance.results.run_column"
+    monkeypatch.setattr(place, stopped)
     result = gauge("backend", "check", "mujoco", "--out", file, "--only", "time")
     assert result.exit_code != 0
     (column,) = read_columns(file)

@@ -1,6 +1,7 @@
 """Each format is read from a small true file, which the format's own library wrote."""
 
 import json
+import re
 import sqlite3
 import sys
 from contextlib import closing
@@ -8,15 +9,16 @@ from contextlib import closing
 import numpy as np
 import pytest
 
-from gauge_envs.errors import GaugeError
+from gauge_envs.errors import FileError, GaugeError
 from gauge_envs.tools.replay import ReplayVerdict, read_log, read_map, replay
-from gauge_envs.tools.replay.log import LogMap
+from gauge_envs.tools.replay.log import COLUMN_NAMES, QUANTITIES, LogMap
 from gauge_envs.tools.replay.readers import DEFINITIONS
 
 TIME_S = 0.02 * np.arange(60)
 ANGLES = np.sin(np.outer(TIME_S, (2.0, 3.0)))
 RATES = np.cos(np.outer(TIME_S, (2.0, 3.0))) * (2.0, 3.0)
 NAMES = ["pan", "lift"]
+OTHER_NAMES = sorted(QUANTITIES.keys() - COLUMN_NAMES)
 STAMP_NS = 1_700_000_000_123_456_789 + np.round(1e9 * TIME_S).astype(int)
 
 
@@ -171,6 +173,24 @@ def test_a_table_with_other_names_is_read_by_the_map(tmp_path):
     assert "times are in ns: they are converted" in log.mistakes
     with pytest.raises(GaugeError, match=r"time: no such column .*has rosbag"):
         read_log(file, mapped=LogMap(columns={"time": "stamp"}))
+
+
+@pytest.mark.parametrize(
+    ("key", "hint"),
+    [
+        *((name, f"write {QUANTITIES[name]}") for name in OTHER_NAMES),
+        ("joints", "known: action, .* position, "),
+        ("Velocity", "did you mean velocity"),
+        ("positon", "did you mean position"),
+        ("", "did you mean"),
+    ],
+)
+def test_a_map_names_titles_of_known_quantities_alone(tmp_path, key, hint):
+    map_file = tmp_path / "map.toml"
+    map_file.write_text(f'[columns]\n"{key}" = "stamp"\n')
+    text = rf"map\.toml: columns: '{re.escape(key)}' is no quantity of a log; {hint}"
+    with pytest.raises(FileError, match=text):
+        read_map(map_file)
 
 
 def test_stamps_of_ros_have_seconds_and_nanoseconds(tmp_path):

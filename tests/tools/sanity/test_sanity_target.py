@@ -208,11 +208,15 @@ def arm(mesh="tetra.obj", geom='size=".1"', more=""):
             "<robot xmlns:xacro='x'><link name='b'><inertial><mass value='${m}'/></inertial></link></robot>",
             r"run xacro a\.urdf > robot\.urdf",
         ),
-        ("a.toml", "backend = 3", "backend: 3, and a text is expected"),
+        (
+            "a.toml",
+            "backend = 3",
+            r"backend: Input should be a valid string \(given: 3",
+        ),
         (
             "a.toml",
             'backend = "mujoco"\npreset = 3',
-            "preset: 3, and a text is expected",
+            "preset: .* a valid string .*; keys: backend, preset, settings",
         ),
         ("a.toml", 'backend = "mujoco"\n[settings]\ncone = "round"', "given: 'round'"),
     ],

@@ -51,10 +51,10 @@ MISTAKES = [
         {"angle": "", "range": "-57 86"},
     ),
     ("density", "densest metal", {"mass": "50", "inertia": ".05 .45 .45"}, {}),
-    ("inertia", "8.06 times", {"inertia": ".01 .08 .08"}, {"inertia": ".002 .01 .01"}),
+    ("inertia", "8.4 times", {"inertia": ".01 .08 .08"}, {"inertia": ".002 .01 .01"}),
     (
         "inertia",
-        "0.0806 times",
+        "0.084 times",
         {"inertia": "1e-4 8e-4 8e-4"},
         {"inertia": "5e-4 .006 .006"},
     ),

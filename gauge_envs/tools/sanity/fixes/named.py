@@ -12,7 +12,7 @@ import numpy as np
 from gauge_envs.backends.mujoco.contact_table import contact_pairs
 from gauge_envs.tools.sanity.causes import EFFECTS, absorb
 from gauge_envs.tools.sanity.fixes.harm import motion_harm
-from gauge_envs.tools.sanity.fixes.text_change import TextChange
+from gauge_envs.tools.sanity.fixes.text_change import TextChange, attribute_text
 from gauge_envs.tools.sanity.model_checks.check import Change
 from gauge_envs.tools.sanity.model_checks.joints import joint_brakes
 from gauge_envs.tools.sanity.robot.robot import (
@@ -113,12 +113,9 @@ def _corrected(robot: Robot, changes: Sequence[tuple[Place, Change]]) -> Robot |
 
 def _text(key: str, value: Any) -> str:
     """Return a value as MJCF writes it."""
-    if isinstance(value, str):
-        return value
-    numbers = np.atleast_1d(value)
-    if key in POLYNOMIALS and not numbers[1:].any():
-        numbers = numbers[:1]
-    return " ".join(f"{number:.6g}" for number in numbers)
+    if key in POLYNOMIALS and not np.atleast_1d(value)[1:].any():
+        value = np.atleast_1d(value)[0]
+    return attribute_text(value)
 
 
 def write_named(

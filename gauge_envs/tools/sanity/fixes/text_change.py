@@ -8,6 +8,8 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from gauge_envs.backends.mujoco.options import (
     DISABLE_FLAGS,
     ENABLE_FLAGS,
@@ -16,6 +18,8 @@ from gauge_envs.backends.mujoco.options import (
 )
 from gauge_envs.tools.sanity.fixes.change import (
     ELEMENT_FIELDS,
+    EQUALITY_FIELDS,
+    GEOM_FIELDS,
     changed_model,
     reached_by_default,
 )
@@ -25,9 +29,10 @@ from gauge_envs.tools.sanity.verdict import Settings
 
 
 def attribute_text(value: Any) -> str:
-    """Return a value as an attribute: numbers with six digits, lists with spaces."""
-    values = value if isinstance(value, list | tuple) else [value]
-    return " ".join(f"{n:.6g}" if isinstance(n, float) else str(n) for n in values)
+    """Return a value as an attribute of MJCF: numbers with six digits and spaces."""
+    if isinstance(value, str):
+        return value
+    return " ".join(f"{number:.6g}" for number in np.ravel(value))
 
 
 class Attribute(NamedTuple):
@@ -49,13 +54,8 @@ OPTIONS = (*NAMED_OPTIONS, *SAME_NAME_OPTIONS, "jacobian")
 
 ATTRIBUTES = {
     "timestep_s": Attribute("option", "timestep"),
-    "contact_solref": Attribute("geom", "solref"),
-    "contact_solimp": Attribute("geom", "solimp"),
-    "contact_margin_m": Attribute("geom", "margin"),
-    "contact_gap_m": Attribute("geom", "gap"),
-    "condim": Attribute("geom", "condim"),
-    "equality_solref": Attribute("equality", "solref"),
-    "equality_solimp": Attribute("equality", "solimp"),
+    **{name: Attribute("geom", key) for name, key in GEOM_FIELDS.items()},
+    **{name: Attribute("equality", key) for name, key in EQUALITY_FIELDS.items()},
     **{name: Attribute("option", name) for name in OPTIONS},
     **{
         name: Attribute("flag", name, lambda is_on: "enable" if is_on else "disable")
@@ -218,10 +218,7 @@ class TextChange:
         for element in self._changed():
             if element.file == file:
                 edits.append((element.start, element.stop, self._tag(element)))
-        text = self.model.texts[file]
-        for start, stop, new in sorted(edits, key=lambda edit: edit[:2])[::-1]:
-            text = text[:start] + new + text[stop:]
-        return text
+        return _edited(self.model.texts[file], edits)
 
     def _changed(self) -> list[Element]:
         """Return the elements with changed attributes, in the order of the text."""
@@ -230,19 +227,16 @@ class TextChange:
 
     def _tag(self, element: Element) -> str:
         """Return the start tag of an element with all changes."""
-        tag = self.model.texts[element.file][element.start : element.stop]
         spans = element.places.values()
-        last = max(
-            (stop for _, stop in spans), default=element.start + len(element.tag) + 1
-        )
+        first = element.start
+        last = max((stop for _, stop in spans), default=first + len(element.tag) + 1)
         edits = []
         for (changed, key), value in self._values.items():
             if changed is element:
                 new = f'"{value}"' if key in element.places else f' {key}="{value}"'
-                edits.append((*element.places.get(key, (last, last)), new))
-        for start, stop, new in sorted(edits, key=lambda edit: edit[:2])[::-1]:
-            tag = tag[: start - element.start] + new + tag[stop - element.start :]
-        return tag
+                start, stop = element.places.get(key, (last, last))
+                edits.append((start - first, stop - first, new))
+        return _edited(self.model.texts[element.file][first : element.stop], edits)
 
     @property
     def diff(self) -> list[str]:
@@ -267,6 +261,13 @@ class TextChange:
             return attribute[0] if attribute[1] in keys else "..."
 
         return re.sub(r"\.\.\.(\s+\.\.\.)+", "...", ATTRIBUTE.sub(shown, line))
+
+
+def _edited(text: str, edits: list[tuple[int, int, str]]) -> str:
+    """Return a text with other texts in place of parts, each from a place to another."""
+    for start, stop, new in sorted(edits, key=lambda edit: edit[:2])[::-1]:
+        text = text[:start] + new + text[stop:]
+    return text
 
 
 # --- changes of settings ---------------------------------------------------------------------------------------------

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from gauge_envs.backends.mujoco.messages import mujoco_warnings
 from gauge_envs.errors import TargetError
 from gauge_envs.reading import faults_of, reading
 from gauge_envs.text import toml_document
@@ -17,7 +18,6 @@ from gauge_envs.tools.sanity.readers.gymnasium_env import (
     suite_file,
 )
 from gauge_envs.tools.sanity.readers.mjcf import GeomPair, read_model_file
-from gauge_envs.tools.sanity.robot.robot import mujoco_warnings
 from gauge_envs.tools.sanity.verdict import TrainingConfiguration
 
 

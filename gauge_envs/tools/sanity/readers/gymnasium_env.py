@@ -12,6 +12,7 @@ import mujoco
 import numpy as np
 
 from gauge_envs.backends import Simulation
+from gauge_envs.backends.mujoco.messages import mujoco_warnings
 from gauge_envs.envs.env import GaugeEnv
 from gauge_envs.errors import (
     MissingExtraError,
@@ -21,7 +22,6 @@ from gauge_envs.errors import (
 )
 from gauge_envs.tools.sanity.readers.mjcf import GeomPair, model_name, read_model
 from gauge_envs.tools.sanity.readers.mujoco_model import mujoco_configuration
-from gauge_envs.tools.sanity.robot.robot import mujoco_warnings
 from gauge_envs.tools.sanity.verdict import Need, TrainingConfiguration
 
 Target: TypeAlias = (

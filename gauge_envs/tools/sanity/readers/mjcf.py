@@ -119,7 +119,7 @@ GeomPair = tuple[str, str]
 """Names of two geoms of a model."""
 
 
-def read_model_file(path: Path, pair: GeomPair | None = None) -> TrainingConfiguration:
+def read_model_file(path: Path, pair: GeomPair | None) -> TrainingConfiguration:
     """Return the configuration of a model file that MuJoCo reads.
 
     Raises:

@@ -22,7 +22,7 @@ from gauge_envs.tools.sanity.readers.settings import read_settings
 from gauge_envs.tools.sanity.verdict import TrainingConfiguration
 
 
-def read_file(path: Path, pair: GeomPair | None = None) -> TrainingConfiguration:
+def read_file(path: Path, pair: GeomPair | None) -> TrainingConfiguration:
     """Return the configuration of a file in JSON.
 
     Raises:

@@ -3,17 +3,27 @@
 from pathlib import Path
 from typing import Any
 
+from pydantic import BaseModel, ConfigDict
+
 from gauge_envs.backends import backend, backend_names
 from gauge_envs.backends.settings import with_drive_interval
 from gauge_envs.errors import GaugeError, ParameterError, TargetError
 from gauge_envs.experiments.resolve import load_experiment
+from gauge_envs.reading import faults_of
 from gauge_envs.tools.sanity.verdict import Settings, TrainingConfiguration
 
 TRIAL_VARIANT = "BouncingBall-rubber"
 """Variant whose scene settings are tried on, which builds fast."""
 
 
-KEYS = ("backend", "preset", "settings")
+class SettingsFile(BaseModel):
+    """The backend, optionally a preset of it, and settings that replace those of the preset."""
+
+    model_config = ConfigDict(extra="forbid", strict=True)
+
+    backend: str
+    preset: str = ""
+    settings: dict[str, Any] = {}
 
 
 def _checked(
@@ -41,28 +51,11 @@ def _checked(
 
 
 def read_settings(path: Path, values: Any) -> TrainingConfiguration:
-    """Return the configuration of the values of a settings file: the backend, optionally a preset, and settings."""
-    if not isinstance(values, dict):
-        raise TargetError(f"{path}: is {values!r:.80}, and a table is expected")
-    faults = [f"{key}: unknown key" for key in values if key not in KEYS]
-    if "backend" not in values:
-        faults.append("backend: missing key")
-    faults += [
-        f"{key}: {values[key]!r:.80}, and a text is expected"
-        for key in ("backend", "preset")
-        if not isinstance(values.get(key, ""), str)
-    ]
-    if faults:
-        raise TargetError(f"{path}: {faults[0]}; keys: {', '.join(KEYS)}")
-    settings = values.get("settings") or {}
-    if not isinstance(settings, dict):
-        raise TargetError(
-            f"{path}: settings is {settings!r:.80}, and a table is expected"
-        )
-    if preset := values.get("preset"):
-        settings = {**settings, "preset": preset}
-    source = f"settings file {path}"
-    return _checked(path.name, values["backend"], settings, source)
+    """Return the configuration of the values of a settings file."""
+    with faults_of(path, TargetError, hint="keys: backend, preset, settings"):
+        file = SettingsFile.model_validate(values)
+    settings = file.settings | ({"preset": file.preset} if file.preset else {})
+    return _checked(path.name, file.backend, settings, f"settings file {path}")
 
 
 def read_backend(target: str) -> TrainingConfiguration | None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property, wraps
 from pathlib import Path
@@ -212,17 +211,6 @@ def standing_key(model: mujoco.MjModel) -> int:
 
 Result = TypeVar("Result")
 Arguments = ParamSpec("Arguments")
-
-
-@contextmanager
-def mujoco_warnings() -> Iterator[list[str]]:
-    """Yield a list that collects MuJoCo's warnings, instead of stderr and `MUJOCO_LOG.TXT`."""
-    handler, warned = mujoco.get_mju_user_warning(), list[str]()
-    mujoco.set_mju_user_warning(warned.append)
-    try:
-        yield warned
-    finally:
-        mujoco.set_mju_user_warning(handler)
 
 
 def once(

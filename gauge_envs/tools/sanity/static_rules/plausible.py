@@ -26,6 +26,13 @@ from gauge_envs.tools.sanity.robot.robot import (
 from gauge_envs.tools.sanity.verdict import Severity
 
 TYPES = mujoco.mjtGeom
+SOLIDS = (
+    TYPES.mjGEOM_SPHERE,
+    TYPES.mjGEOM_CAPSULE,
+    TYPES.mjGEOM_CYLINDER,
+    TYPES.mjGEOM_BOX,
+)
+"""Shapes whose size is exact."""
 
 MARKER_M = 0.01
 """Size of shapes that mark the place of a link instead of showing it [m]."""
@@ -51,26 +58,16 @@ def volumes_and_squares(model: mujoco.MjModel) -> tuple[FloatArray, FloatArray]:
 
     The squared radius of gyration is half the trace of the inertia over the mass.
     """
-    a, b, c = model.geom_size.T
-    x, y, z = model.geom_aabb[:, 3:].T
-    ellipsoid = 4.0 / 3.0 * np.pi * x * y * z, (x**2 + y**2 + z**2) / 5.0
-    kinds = {
-        TYPES.mjGEOM_SPHERE: (4.0 / 3.0 * np.pi * a**3, 0.6 * a**2),
-        TYPES.mjGEOM_BOX: (8.0 * a * b * c, (a**2 + b**2 + c**2) / 3.0),
-        TYPES.mjGEOM_CYLINDER: (2.0 * np.pi * a**2 * b, a**2 / 2.0 + b**2 / 3.0),
-        TYPES.mjGEOM_CAPSULE: (
-            2.0 * np.pi * a**2 * (b + 2.0 / 3.0 * a),
-            a**2 / 2.0 + (b + 0.8 * a) ** 2 / 3.0,
-        ),
-    }
-    volumes, squares = ellipsoid
-    for kind, (volume, square) in kinds.items():
-        is_kind = model.geom_type == kind
-        volumes, squares = (
-            np.where(is_kind, volume, volumes),
-            np.where(is_kind, square, squares),
-        )
-    return volumes, squares
+    spec = mujoco.MjSpec()
+    for geom in range(model.ngeom):
+        kind, size_m = int(model.geom_type[geom]), model.geom_size[geom]
+        if kind not in SOLIDS:
+            kind, size_m = TYPES.mjGEOM_ELLIPSOID, model.geom_aabb[geom, 3:]
+        body = spec.worldbody.add_body()
+        body.add_geom(type=kind, size=np.maximum(size_m, 1e-6), density=1.0)
+    alone = spec.compile()
+    volumes = alone.body_mass[1:]
+    return volumes, 0.5 * alone.body_inertia[1:].sum(axis=1) / volumes
 
 
 def solid_geoms(model: mujoco.MjModel) -> BoolArray:
