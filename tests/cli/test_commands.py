@@ -16,7 +16,7 @@ from slide import NAME
 from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo
 from gauge_envs.cli.app import load_command
 from gauge_envs.cli.arguments import parsed_settings, split_values
-from gauge_envs.cli.commands import commands, help_lines
+from gauge_envs.cli.commands import commands, help_lines, listings
 from gauge_envs.errors import ParameterError, ResultFileError
 from gauge_envs.runs import batch
 from gauge_envs.tools.run.options import parsed_jitter
@@ -226,3 +226,10 @@ def test_values_of_options_are_parsed():
     assert jitter.position_m == 2e-3
     assert jitter.angle_rad == pytest.approx(np.radians(0.5), rel=1e-12)
     assert parsed_jitter(["1mm"]).angle_rad == 0.0
+
+
+@pytest.mark.parametrize("kind", listings())
+def test_list_prints_each_kind(gauge, kind):
+    result = gauge("list", kind)
+    assert result.exit_code == 0
+    assert len(result.stdout.splitlines()) > 3

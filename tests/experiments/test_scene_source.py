@@ -8,7 +8,7 @@ import hashlib
 import gymnasium
 import numpy as np
 import pytest
-from pxr import Sdf, Usd, UsdUtils
+from pxr import Gf, Sdf, Usd, UsdUtils
 
 from gauge_envs import load_experiment
 from gauge_envs.errors import AssetError, ParameterError
@@ -23,7 +23,7 @@ from gauge_envs.runs.result_file import (
 from gauge_envs.runs.score_file import score_file
 from gauge_envs.tools.assets.build import assets_folder
 
-SLIDE = "SlopeSlider-2-wood"
+SLIDE, TILTED = "SlopeSlider-2-wood", "SlopeSlider-3-wood"
 G = 9.80665
 
 
@@ -229,3 +229,19 @@ def test_a_bad_file_gives_an_error_in_a_line(content, name, message, gauge, tmp_
 def test_arguments_that_the_file_has_raise_an_error(options):
     with pytest.raises(ParameterError, match=f"{SLIDE}.usda"):
         gymnasium.make(f"GAUGE/{SLIDE}", asset=shipped(SLIDE), **options)
+
+
+def test_edited_samples_drive_the_body(edited, rollout):
+    def higher(stage):
+        prim = stage.GetPrimAtPath("/World/board")
+        translate = prim.GetAttribute("xformOp:translate")
+        for frame in translate.GetTimeSamples()[1:]:
+            rise = Gf.Vec3d(0.0, 0.0, 1e-3 * min(frame, 20))
+            translate.Set(translate.Get(frame) + rise, frame)
+
+    path = edited(TILTED, higher)
+    places = []
+    for asset in (None, path):
+        env, _, _ = rollout(TILTED, asset=asset, frames=30)
+        places.append(env.rollout.simulation.body_states(["board"])[0, 0, :3])
+    np.testing.assert_allclose(places[1] - places[0], [0.0, 0.0, 0.02], atol=1e-6)

@@ -59,6 +59,7 @@ def test_the_numbers_of_a_band_follow_from_its_arrays(name):
     count, width = len(band.coordinates), len(experiment.coordinates)
     assert band.mean.shape == (experiment.frame_count, count)
     assert band.projection.shape == (count, width)
+    assert f"Band({band.kind}, {len(band.mean)} frames" in repr(band)
     assert not (band.sigma < 0.0).any()
     computed = replace(band, given_uncertainty=None)
     expected_mm = pytest.approx(content["zero_motion_distance"])

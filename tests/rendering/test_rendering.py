@@ -7,12 +7,12 @@ import gymnasium
 import mujoco
 import numpy as np
 import pytest
-from opengl import needs_opengl
+from opengl import needs_opengl, pixels_of
 from places import RIGID, ROOT
 from programs import printed
 from scipy.spatial import ConvexHull
 
-from gauge_envs import load_experiment
+from gauge_envs import GaugeEnv, load_experiment
 from gauge_envs.errors import RenderError
 from gauge_envs.rendering import renderer
 from gauge_envs.rendering.camera import experiment_view
@@ -211,3 +211,31 @@ def test_a_sheet_has_two_sides_half_its_thickness_apart_from_its_nodes(
     assert (offsets_m > 0.0).sum() == (offsets_m < 0.0).sum() > 100
     outward = (normals[inner] * vertices_m[inner] * [1.0, 0.0, 1.0]).sum(axis=1)
     assert (np.sign(outward) == np.sign(offsets_m)).all()
+
+
+def start_picture(name):
+    """Return a picture of a start, and a function that returns its colours at points [m], shape [n, 3]."""
+    env = GaugeEnv(name, render_mode="rgb_array", width=320, height=240)
+    env.reset(seed=0)
+    picture = env.render()
+    env.close()
+    view = experiment_view(env.experiment)
+
+    def colors_at(points_m):
+        columns, rows = pixels_of(view, points_m, width=320, height=240).T.astype(int)
+        return picture[rows, columns].astype(int)
+
+    return picture, colors_at, env.experiment.scene
+
+
+@needs_opengl
+def test_bodies_have_the_colour_of_their_material():
+    colors = {}
+    for material in ("wood", "plastic", "metal"):
+        _, colors_at, scene = start_picture(f"SlopeSlider-1-{material}")
+        top_m = np.add([scene.body("cube").pose.position_m], [0.0, 0.0, 0.025])
+        colors[material] = colors_at(top_m)[0]
+    assert colors["wood"][0] - colors["wood"][2] > 50
+    assert colors["plastic"].max() < 90
+    assert np.ptp(colors["metal"]) < 40
+    assert colors["metal"].min() > 120

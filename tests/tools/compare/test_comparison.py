@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from gauge_envs.experiments.task_files import task_sha256, task_spec
+from gauge_envs.references.published import published_baselines
 from gauge_envs.registry import package_versions
 from gauge_envs.runs.episodes import run_episode
 from gauge_envs.runs.request import RunRequest
@@ -21,6 +22,8 @@ from gauge_envs.scoring.reference import reference_band
 from gauge_envs.scoring.score import Score
 from gauge_envs.scoring.trajectory import score_trajectory
 from gauge_envs.tools.compare.comparison import compare
+from gauge_envs.tools.compare.experiment_figure import draw_experiment
+from gauge_envs.tools.compare.overview_figure import draw_overview
 from gauge_envs.tools.compare.report import comparison_document
 from gauge_envs.tools.compare.spool import TrajectorySpool
 
@@ -325,3 +328,33 @@ def test_results_are_chosen_by_id_engine_and_correction(gauge, tmp_path):
         rejected = gauge("compare", *words)
         assert rejected.exit_code == 2
         assert name in rejected.stderr
+
+
+def test_a_picture_of_foam_in_mm_has_no_published_distance_of_faces():
+    results = []
+    for backend in ("mujoco", "newton"):
+        result = made(BAR, backend=backend)
+        markers_mm = np.zeros((31, 84))
+        trajectory = replace(result.trajectory, markers_mm=markers_mm)
+        score = replace(result.score, refused="no score: the scene differs")
+        results.append(replace(result, trajectory=trajectory, score=score))
+    axis = draw_experiment(results).axes[0]
+    assert axis.get_ylabel() == "distance [mm]"
+    assert len(axis.get_lines()) == 1
+
+
+def test_the_overview_shows_published_engines_only_with_raw_scores_of_trials(real):
+    primary, raw, solved = (
+        {
+            float(line.get_xdata()[0])
+            for line in axis.get_lines()
+            if len(line.get_xdata())
+        }
+        for axis in draw_overview(compare([real[SLIDER], real[TURNED]])).axes
+    )
+    score = real[SLIDER].score
+    assert score.rmse_aligned_normalized in primary
+    assert score.rmse_normalized in raw
+    assert real[TURNED].score.primary_normalized in solved - primary
+    published = set(published_baselines(SLIDER)["rmse"].engines.values())
+    assert published <= raw - primary

@@ -15,6 +15,7 @@ from gauge_envs.errors import ParameterError, ResultFileError
 from gauge_envs.runs import workers
 from gauge_envs.tools.conformance import Status
 from gauge_envs.tools.conformance.expectations import StoredBaseline, read_baseline
+from gauge_envs.tools.conformance.report import comparison
 from gauge_envs.tools.conformance.results import (
     engine_columns,
     read_columns,
@@ -378,3 +379,13 @@ def test_an_engine_that_cannot_be_imported_is_an_error(installed, gauge):
     result = gauge("backend", "check", "at-import", *THREE)
     assert (result.exit_code, result.stdout) == (2, "")
     assert "SystemExit: 3" in result.stderr
+
+
+def test_several_engines_are_columns_of_one_table(column):
+    slide = replace(column.results["slide"], status=Status.FAIL, measured=0.8)
+    other = replace(column, name="CG", results={**column.results, "slide": slide})
+    table = comparison([column, other])
+    assert [entry.title for entry in table.columns][2:] == ["mujoco PGS", "mujoco CG"]
+    counts, failed = table.rows
+    assert counts == ["passed", "", "2 of 2", "1 of 2"]
+    assert failed == ["slide", "1 +- 0.01", "✓", "✗ 0.8"]

@@ -16,6 +16,7 @@ from gauge_envs.tools.conformance import (
 )
 from gauge_envs.tools.conformance.causes import likely_causes, rules
 from gauge_envs.tools.conformance.model import Level
+from gauge_envs.tools.conformance.report import engine_document
 from gauge_envs.tools.conformance.results import levels
 
 MUJOCO = backend("mujoco")
@@ -413,3 +414,13 @@ def test_a_body_that_falls_has_no_contact():
     (result,) = run_checks(NoContact(MUJOCO, Fault()), only=["driven-slow"])
     hint = "falls through the plate at 2 mm/s: the pair has no contact"
     assert hint in result.diagnosis
+
+
+def test_a_narrow_pass_has_both_numbers_and_a_wide_one_none():
+    (result,) = run_checks(MUJOCO, only=["tower-stands"])
+    texts = []
+    for measured in (0.46, 0.44):
+        document = engine_document([replace(result, measured=measured, width=0.5)])
+        texts.append(str(document))
+    assert "Narrow pass: tower-stands is 0.46 for 0 +- 0.5 mm" in texts[0]
+    assert "Narrow pass" not in texts[1]

@@ -147,9 +147,9 @@ def swing(folder: Path, dry: float, viscous: float) -> tuple[Path, Path]:
 
 def written_otherwise(columns: dict, writing: str) -> tuple[dict, LogMap]:
     """Return the columns of the same log, written otherwise, and its map."""
-    angles = {key: columns[key] for key in ("q", "dq", "target")}
     if writing == "clock":
         return {"t": columns["t"] + 1000.0}, LogMap()
+    angles = {key: columns[key] for key in ("q", "dq", "target")}
     if writing == "unit":
         return {key: np.rad2deg(angles[key]) for key in angles}, LogMap(unit="deg")
     if writing == "order":

@@ -312,3 +312,15 @@ def test_the_real_pendulum_needs_armature_and_losses(gauge):
     rows = {row["joint"]: row for row in json.loads(shown.stdout)["joints"]}
     assert rows["elbow"]["repeat_rms"] == pytest.approx(0.040, abs=0.002)
     assert rows["elbow"]["predictions"][2]["rms"] < 0.06
+
+
+def test_a_log_in_parquet_is_read(tmp_path):
+    pyarrow = pytest.importorskip("pyarrow")
+    from pyarrow import parquet
+
+    time_s = np.arange(0.0, 1.0, 0.02)
+    table = {"t": time_s, "q_hip": np.sin(time_s), "dq_hip": np.cos(time_s)}
+    parquet.write_table(pyarrow.table(table), tmp_path / "log.parquet")
+    log = read_log(tmp_path / "log.parquet")
+    assert log.joints == ("hip",)
+    assert np.allclose(log.position[:, 0], np.sin(time_s))
