@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import csv
 from collections import Counter
+from itertools import groupby
 from pathlib import Path
 
 from gauge_envs import load_experiment, reference_band
@@ -29,6 +30,10 @@ REFERENCES = {
 """Text of the reference, by kind."""
 
 
+SMALL = 1
+"""Percent below which a sensitivity is not shown."""
+
+
 def reference_kind(variant: Variant) -> Kind:
     """Return the kind of the bundled reference of a variant."""
     band = reference_band(load_experiment(variant))
@@ -49,19 +54,38 @@ def answers_table() -> str:
     return "\n".join(markdown_table(head, rows))
 
 
+def is_seen(row: dict[str, str], column: str) -> bool:
+    """Return whether an id shows a change: 2 % of its motion, and twice what the solver makes of nothing."""
+    return float(row[column]) >= max(2.0, 2.0 * float(row["noise"]))
+
+
+def sensitivity_range(rows: list[dict[str, str]], column: str) -> str:
+    """Return the least and the largest number of the ids of an experiment, bold where they are seen."""
+    known = [row for row in rows if row[column] != "-"]
+    if not known:
+        return "-"
+    known.sort(key=lambda row: float(row[column]))
+    ends = []
+    for row in (known[0], known[-1]):
+        number = row[column] if float(row[column]) >= SMALL else f"<{SMALL}"
+        is_bold = column != "noise" and is_seen(row, column)
+        ends.append(f"**{number}**" if is_bold else number)
+    return " to ".join(dict.fromkeys(ends))
+
+
 def sensitivity_table() -> str:
-    """Return what changes of a fabric do to motions, as `studies/models/sensitivity.py` stored it; bold from 2 %."""
+    """Return what changes of a fabric do to motions, as `studies/models/sensitivity.py` stored it, by experiment."""
     file = ROOT / "studies" / "models" / "sensitivity.csv"
     with file.open(encoding="utf-8", newline="") as stream:
-        head, *rows = csv.reader(stream)
-    marked = [
-        [
-            *row[:3],
-            *(f"**{x}**" if x != "-" and float(x) >= 2.0 else x for x in row[3:]),
-        ]
-        for row in rows
-    ]
-    return "\n".join(markdown_table(["id", "motion [mm]", *head[2:]], marked))
+        rows = list(csv.DictReader(stream))
+    columns = list(rows[0])[2:]
+    cells = []
+    for name, ids in groupby(rows, lambda row: row["id"].rpartition("-")[0]):
+        measured = list(ids)
+        cells.append(
+            [name, *(sensitivity_range(measured, column) for column in columns)]
+        )
+    return "\n".join(markdown_table(["experiment", *columns], cells))
 
 
 def contents() -> dict[Path, str]:

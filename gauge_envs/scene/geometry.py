@@ -309,11 +309,14 @@ class Ellipsoid:
         return _box_corners_m(*self.radii_m)
 
 
+PartShape = Box | Sphere | Cylinder | Capsule | Ellipsoid | ConvexUnion
+
+
 @dataclass(frozen=True, kw_only=True)
 class Part:
     """One solid of a `Compound`, with its pose in the body frame."""
 
-    shape: Box | Sphere | Cylinder | Capsule | Ellipsoid | ConvexUnion
+    shape: PartShape
     pose: Pose
 
 

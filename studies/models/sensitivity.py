@@ -2,10 +2,10 @@
 
     python studies/models/sensitivity.py [ID ...]
 
-A row of `sensitivity.csv` has an id, the size of its motion [mm] over the frames of the reference, and the distance
-that each change makes [% of the motion]; `-` if nothing in the scene has the constant, or the step is too long for air.
-`air` is air of 20 C in place of none; `noise` is a millionth of the stretch stiffness, which shows what the solver
-makes of nothing.
+A row of `sensitivity.csv` has an id, the size of its motion [mm] in the coordinates and frames of the reference, and
+the distance that each change makes [% of the motion]; `-` if nothing in the scene has the constant, or the step is too
+long for air. Without a reference the markers count, in all frames. `air` is air of 20 C in place of none; `noise` is
+a millionth of the stretch stiffness, which shows what the solver makes of nothing.
 """
 
 import csv
@@ -16,27 +16,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gauge_envs import GaugeEnv, load_experiment
+from gauge_envs import GaugeEnv, load_experiment, reference_band
 from gauge_envs.errors import ParameterError
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.task_format import ClothConstants
-from gauge_envs.references.band import load_band
+from gauge_envs.experiments.variants import bundled_rows
+from gauge_envs.references.band import Band
+from gauge_envs.tools.reference.solution import length
 
 Array = NDArray[np.float64]
 
 TABLE = Path(__file__).with_name("sensitivity.csv")
-
-IDS = (
-    "StripBending-satin",
-    "StripBending-oxford",
-    "TextileBending-satin",
-    "TextileBending-oxford",
-    "TextileStretching-satin",
-    "TextileStretching-oxford",
-    "TextileFlinging-satin",
-    "TextileFlinging-oxford",
-)
-"""Of the six fabrics, satin has the least stretch and shear stiffness, and oxford the most."""
 
 SHARE = 0.8
 """Factor on a constant."""
@@ -76,46 +66,70 @@ def overrides(experiment: Experiment) -> dict[str, dict[str, float]]:
     return found | {"air": {f"air.{key}": value for key, value in AIR.items()}}
 
 
-def motion(name: str, last: int, parameters: Any = "published") -> Array:
-    """Return the markers, or else g(t), up to a frame [mm], shape [T, C]."""
-    env = GaugeEnv(name, parameters=parameters)
+def motion(
+    experiment: Experiment, band: Band | None, parameters: Any = "published"
+) -> Array:
+    """Return the motion in the coordinates of a reference [mm], else the markers, shape [T, C].
+
+    After the last frame that the reference knows, the motion stops.
+    """
+    env = GaugeEnv(experiment.name, parameters=parameters)
     observation, _ = env.reset(seed=0)
-    key, scale = ("markers", 1e3) if "markers" in observation else ("observable", 1.0)
+    is_of_markers = band is None or band.points is not None
+    key, scale = ("markers", 1e3) if is_of_markers else ("observable", 1.0)
+    count = experiment.frame_count
+    last = count - 1 if band is None else int(np.flatnonzero(band.compared.known)[-1])
     frames = [observation[key]]
     for _ in range(last):
         observation, *_ = env.step(np.zeros(env.action_space.shape))
         frames.append(observation[key])
     env.close()
-    return scale * np.reshape(frames, (len(frames), -1))
+    frames += [frames[-1]] * (count - len(frames))
+    found = scale * np.reshape(frames, (count, -1))
+    return found if band is None or is_of_markers else found @ band.projection.T
 
 
-def size(difference: Array) -> float:
-    """Return the root mean square over frames, and over points of three coordinates [mm]."""
-    return float(np.sqrt(3.0 * np.square(difference).mean()))
+def size(difference: Array, band: Band | None) -> float:
+    """Return the root mean square over frames, and over markers if any [mm]."""
+    return band.compared.length(difference) if band else length(difference, 0)
 
 
-def measure(name: str) -> None:
-    """Append the rows of an id to the table."""
-    band = load_band(name)
-    assert band is not None
-    last = int(np.flatnonzero(np.isfinite(band.compared.mean).all(axis=1))[-1])
-    published = motion(name, last)
-    moved = size(published - published[0])
-    rows = {}
-    for column, parameters in overrides(load_experiment(name)).items():
+def measured(name: str) -> dict[str, str]:
+    """Return the row of an id."""
+    experiment = load_experiment(name)
+    band = reference_band(experiment)
+    published = motion(experiment, band)
+    moved = size(published - published[0], band)
+    row = {"id": name, "motion_mm": f"{moved:.3g}"}
+    for column, parameters in overrides(experiment).items():
         try:
-            apart = size(motion(name, last, parameters) - published)
-            rows[column] = f"{100.0 * apart / moved:.2g}"
+            apart = size(motion(experiment, band, parameters) - published, band)
+            row[column] = f"{100.0 * apart / moved:.2g}"
         except ParameterError:
-            rows[column] = "-"
-        print(name, column, rows[column], flush=True)
-    with TABLE.open("a", newline="", encoding="utf-8") as stream:
-        writer = csv.writer(stream, lineterminator="\n")
-        if not stream.tell():
-            writer.writerow(("id", "motion_mm", *rows))
-        writer.writerow((name, f"{moved:.3g}", *rows.values()))
+            row[column] = "-"
+        print(name, column, row[column], flush=True)
+    return row
+
+
+def store(row: dict[str, str]) -> None:
+    """Write a row into the table, in place of that of its id."""
+    rows = {}
+    if TABLE.is_file():
+        with TABLE.open(newline="", encoding="utf-8") as stream:
+            rows = {old["id"]: old for old in csv.DictReader(stream)}
+    rows[row["id"]] = row
+    with TABLE.open("w", newline="", encoding="utf-8") as stream:
+        writer = csv.DictWriter(stream, row, lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows[name] for name in sorted(rows))
+
+
+def cloth_ids() -> list[str]:
+    """Return the ids whose scene has a cloth."""
+    names = [row.variant.name for row in bundled_rows()]
+    return [name for name in names if load_experiment(name).spec.cloths]
 
 
 if __name__ == "__main__":
-    for id_ in sys.argv[1:] or IDS:
-        measure(id_)
+    for id_ in sys.argv[1:] or cloth_ids():
+        store(measured(id_))

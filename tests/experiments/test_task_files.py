@@ -114,7 +114,7 @@ def test_the_longest_matching_key_gives_the_provenance():
         ("SlopeSlider", "{ all = 9 }", "{ all = 1 }", "subtasks.1.frames"),
         ("SlopeSlider", "{ all = 9 }", "{ wood = 9 }", "no frame count for SlopeSli"),
         ("SlopeSlider", "initial.metal]", "initial.steel]", "no start of"),
-        ("SlopeSlider", 'constants_of = "cube"', "friction = 0.1", "both friction and"),
+        ("SlopeSlider", 'constants_of = "cube"', "friction = 0.1", "friction: unknown"),
         ("FoamStretching", "ratio = 0.23", "ratio = 0.5", "Poisson ratio 0.5"),
         ("FoamStretching", "[0, 7, 8]", "[0, 7, 28]", "marker index 28 is out of"),
         ("BouncingBall", "ground = { ", "ground = { velocity_m_per_s = [1, 0, 0], ", "'ground' is fixed and"),

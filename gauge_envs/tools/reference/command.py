@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -15,7 +15,6 @@ from gauge_envs.errors import ParameterError
 
 if TYPE_CHECKING:
     from gauge_envs.experiments.names import Variant
-    from gauge_envs.runs.result import Result
     from gauge_envs.tools.reference.solution import Solution
 
 
@@ -45,9 +44,9 @@ def reference(
 ) -> None:
     """Solve a scene at refined steps, contacts and cells, and write the solution as its reference.
 
-    The runs have the step, its half and its quarter, then half the softness of contacts, then half the cells; their
-    differences give the standard uncertainty. `gauge run` and `gauge compare` score against a reference beside the
-    task file.
+    The finest run has a quarter of the step, half the softness of contacts and half the cells. Coarser ones give the
+    order of convergence, and the standard uncertainty as Roache's grid convergence index. `gauge run` and
+    `gauge compare` score against a reference beside the task file.
     """
     from gauge_envs.runs.request import RunRequest
     from gauge_envs.tools.reference import solution as solving
@@ -58,28 +57,33 @@ def reference(
     experiment = request.experiment()
     file = _file(experiment.variant, out)
     coarse = solving.finished(request)
-    stiffer = solving.stiffer_contacts(coarse, experiment.scene)
-    finer = solving.finer_settings(coarse, experiment.scene, stiffer)
-    minutes = solving.minutes(coarse, experiment.scene, finer)
-    names = [_refined(values, stiffer) for values in finer]
-    message(_plan(coarse, names, minutes))
-    requests = [replace(request, settings=values) for values in finer]
-    if against:
-        requests.insert(0, replace(request, backend=against, settings=None))
-        names.insert(0, against)
-    results = []
-    with Progress("runs", len(requests)) as progress:
-        for each, label in zip(requests, names, strict=True):
-            results.append(solving.finished(each))
-            progress.advance(label)
-    other = solving.motion(results.pop(0)) if against else None
-    motions = [solving.motion(result) for result in (coarse, *results)]
-    solved = solving.solution(motions, len(experiment.coordinates), other)
-    is_soft = bool(experiment.scene.contacts) and not stiffer
+    scene = experiment.scene
+    given, levels = solving.given_level(coarse), solving.refinements(coarse, scene)
+    motions = {given: solving.motion(coarse)}
+    runs = dict.fromkeys(chain.from_iterable(levels.values()))
+    runs.pop(given, None)
+    minutes = solving.minutes(coarse, scene, runs)
+    took = f"{given} took {coarse.cpu_s or 0.0:.2f} s of a processor"
+    message(f"{took}; about {minutes:.1f} min for {'; '.join(map(str, runs))}")
+    other = None
+    with Progress("runs", len(runs) + bool(against)) as progress:
+        if against:
+            second = replace(request, backend=against, settings=None)
+            other = solving.motion(solving.finished(second))
+            progress.advance(against)
+        for level in runs:
+            refined = solving.settings_of(level, coarse, scene)
+            finer = solving.finished(replace(request, settings=refined))
+            motions[level] = solving.motion(finer)
+            progress.advance(str(level))
+    found = {name: [motions[level] for level in of] for name, of in levels.items()}
+    solved = solving.solution(found, len(experiment.coordinates), other)
+    is_soft = bool(scene.contacts) and solving.SOFTNESS not in levels
     left_out = _left_out(against, is_soft)
     compared = f", compared with {against}" if against else ""
     version = coarse.versions.get(backend, "")
-    source = f"{backend} {version} with {names[-1]}{compared}; {left_out}"
+    *_, (*_, finest) = levels.values()
+    source = f"{backend} {version} with {finest}{compared}; {left_out}"
     solving.write_solution(file, experiment, solved, source)
     echo(_summary(solved, experiment.score.observable.unit))
     echo(f"{left_out}\n{file}")
@@ -110,29 +114,8 @@ def _file(variant: Variant, out: Path | None) -> Path:
     return file
 
 
-def _refined(settings: Mapping[str, Any], stiffer: Mapping[str, Any]) -> str:
-    """Return the step, the cells and the contacts of a run, as `timestep_s=1/9000`.
-
-    Args:
-        settings: Settings of the run.
-        stiffer: Settings of stiffer contacts.
-    """
-    text = f"timestep_s=1/{1.0 / settings['timestep_s']:.6g}"
-    if cell_m := settings.get("cell_m"):
-        text += f",cell_m={cell_m:.4g}"
-    if stiffer and stiffer.items() <= settings.items():
-        text += ",half the softness of contacts"
-    return text
-
-
-def _plan(coarse: Result, finer: Sequence[str], minutes: float) -> str:
-    """Return the runs that follow a coarse run, and their estimated minutes."""
-    took = f"{_refined(coarse.settings, {})} took {coarse.cpu_s or 0.0:.2f} s of a processor"
-    return f"{took}; about {minutes:.1f} min for {'; '.join(finer)}"
-
-
 def _summary(solved: Solution, unit: str) -> str:
-    """Return the uncertainty, its share of the motion, and the order of convergence.
+    """Return the uncertainty, its share of the motion, and the orders of convergence.
 
     Args:
         solved: The solution.
@@ -140,10 +123,16 @@ def _summary(solved: Solution, unit: str) -> str:
     """
     unit = "mm" if solved.mean.shape[1] > solved.width else unit
     share = f", {100 * solved.u / solved.moved:.2g} %" if solved.moved else ""
-    order = f"order {solved.order:.2f} in the step"
-    if not solved.converges:
-        order = f"the step does not converge: u assumes the order {solved.order:.2g}"
-    return f"u = {solved.u:.3g} {unit}{share} of the motion of {solved.moved:.4g} {unit}; {order}"
+    text = (
+        f"u = {solved.u:.3g} {unit}{share} of the motion of {solved.moved:.4g} {unit}"
+    )
+    orders = [
+        f"no order in the {name}"
+        if order is None
+        else f"order {order:.2f} in the {name}"
+        for name, order in solved.orders.items()
+    ]
+    return "; ".join([text, *orders])
 
 
 def _left_out(against: str | None, is_soft: bool) -> str:

@@ -1,14 +1,16 @@
 """Solve a scene by one engine at smaller steps and cells with stiffer contacts, and estimate its uncertainty.
 
-The observed order of convergence p gives the error of the finest of three runs as |x3 - x2| / (2^p - 1) (Roache 1998).
-Contacts and mesh have two levels, whose difference is the error of an order of 1. A second engine differs by at most
-the half width of a rectangular distribution (GUM 4.3.7).
+Of three runs whose changes point the same way, the last change d and the order p give the grid convergence index
+1.25 d / (2^p - 1); p above 1 counts as 1. Otherwise it is three times the largest change, and of the two meshes
+3 d / (2^2 - 1), as the order of linear elements is 2 (Roache 1994; Eca and Hoekstra 2009). The finest run keeps its
+error, so u is the index and not half of it. A second engine differs by at most the half width of a rectangular
+distribution (GUM 4.3.7).
 """
 
 import io
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
@@ -29,11 +31,49 @@ from gauge_envs.scene import Cloth, Scene, SoftBody
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scoring.answers import mattering_distance
 
-RATIOS = 2.0**0.5, 2.0**4
-"""Range of the ratio of two changes in sequence, of an order from 0.5 to 4."""
+MIN_RATIO = 2.0**0.5
+"""Smallest ratio of two changes in sequence that converge: an order of 0.5."""
+
+MIN_COSINE = 0.9
+"""Smallest cosine between two changes that point the same way."""
+
+MESH_ORDER = 2
+"""Order of the displacements of linear elements."""
+
+SOFTNESS = "softness of contacts"
+"""What stiffer contacts refine."""
+
+SOFTNESS_TEXTS = {
+    -1: f",twice the {SOFTNESS}",
+    0: "",
+    1: f",half the {SOFTNESS}",
+}
+"""Text of the softness of a run."""
 
 MORE_CELLS = {Cloth: 4, SoftBody: 8}
 """Factor on the number of cells with half their edge; 2 for ropes and rods."""
+
+
+@dataclass(frozen=True)
+class Level:
+    """What a run refines.
+
+    Attributes:
+        step_s: Time step [s].
+        halvings: Number of halvings of the softness of contacts; -1 doubles it.
+        cell_m: Edge of the cells [m]; None if nothing has cells.
+    """
+
+    step_s: float
+    halvings: int
+    cell_m: float | None
+
+    def __str__(self) -> str:
+        """Return the settings in words, as `timestep_s=1/9000`."""
+        text = f"timestep_s=1/{1.0 / self.step_s:.6g}"
+        if self.cell_m:
+            text += f",cell_m={self.cell_m:.4g}"
+        return text + SOFTNESS_TEXTS[self.halvings]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,13 +83,14 @@ class Solution:
     Attributes:
         mean: Motion at the frames, shape [T, D + 3 M].
         uncertainty: Its standard uncertainty, shape [T, D + 3 M].
-        ratio: Change by the first halving of the step over that by the second.
+        orders: Observed order of convergence in what has three levels and changes the motion; None if it does not
+            converge.
         width: Number D of coordinates of g(t).
     """
 
     mean: FloatArray
     uncertainty: FloatArray
-    ratio: float
+    orders: Mapping[str, float | None]
     width: int
 
     @property
@@ -61,16 +102,6 @@ class Solution:
     def moved(self) -> float:
         """Root mean square displacement, as `u`."""
         return length(self.mean - self.mean[0], self.width)
-
-    @property
-    def order(self) -> float:
-        """Observed order of convergence in the step, from 0.5 to 4."""
-        return math.log2(min(max(self.ratio, RATIOS[0]), RATIOS[1]))
-
-    @property
-    def converges(self) -> bool:
-        """Whether the observed order is at least 0.5."""
-        return self.ratio >= RATIOS[0]
 
 
 def length(values: FloatArray, width: int) -> float:
@@ -85,84 +116,143 @@ def length(values: FloatArray, width: int) -> float:
     return math.sqrt(float(np.square(compared).sum(axis=1).mean()) / (count or 1))
 
 
-def solution(
-    runs: Sequence[FloatArray], width: int, other: FloatArray | None = None
-) -> Solution:
-    """Return the solution of runs at the steps h, h/2 and h/4, then with stiffer contacts and half the cells.
+def observed_order(first: FloatArray, last: FloatArray, width: int) -> float | None:
+    """Return the order of convergence of the changes by two halvings; None if they do not converge.
 
     Args:
-        runs: Their motions, shape [T, D + 3 M] each; each run after the third refines one thing more.
+        first: Change by the first halving, shape [T, D + 3 M].
+        last: Change by the second, not 0.
+        width: Number D of coordinates of g(t).
+    """
+    sizes = length(first, width), length(last, width)
+    both = length(first + last, width)
+    # Law of cosines.
+    dot_product = (both**2 - sizes[0] ** 2 - sizes[1] ** 2) / 2.0
+    same_way = dot_product >= MIN_COSINE * math.prod(sizes)
+    ratio = sizes[0] / sizes[1]
+    return math.log2(ratio) if same_way and ratio >= MIN_RATIO else None
+
+
+def solution(
+    levels: Mapping[str, Sequence[FloatArray]],
+    width: int,
+    other: FloatArray | None = None,
+) -> Solution:
+    """Return the solution of runs at levels of refinement, each with half of what the one before it has.
+
+    Args:
+        levels: Motions from coarse to fine by what is refined, shape [T, D + 3 M] each; two are of meshes. The last
+            one is the finest run.
         width: Number D of coordinates of g(t).
         other: Motion of a second engine.
     """
-    coarse, middle, fine = runs[:3]
-    first, second = length(coarse - middle, width), length(middle - fine, width)
-    found = Solution(
-        mean=runs[-1],
-        uncertainty=np.zeros_like(fine),
-        ratio=first / second if second else math.inf,
-        width=width,
-    )
-    parts = [(fine - middle) / (2.0**found.order - 1.0)]
-    parts += [after - before for before, after in pairwise(runs[2:])]
+    *_, (*_, finest) = levels.values()
+    orders: dict[str, float | None] = {}
+    parts = []
+    for name, motions in levels.items():
+        changes = [after - before for before, after in pairwise(motions)]
+        first, last = changes[0], changes[-1]
+        if len(changes) == 1:
+            parts.append(3.0 * last / (2.0**MESH_ORDER - 1.0))
+        elif last.any():
+            order = orders[name] = observed_order(first, last, width)
+            if order is None:
+                parts.append(3.0 * np.maximum(abs(first), abs(last)))
+            else:
+                parts.append(1.25 * last / (2.0 ** min(order, 1.0) - 1.0))
     if other is not None:
-        parts.append((other - runs[-1]) / math.sqrt(3.0))
-    uncertainty = np.sqrt(np.square(parts).sum(axis=0))
-    return replace(found, uncertainty=uncertainty)
+        parts.append((other - finest) / math.sqrt(3.0))
+    uncertainty = np.sqrt(sum(map(np.square, parts), np.zeros_like(finest)))
+    return Solution(mean=finest, uncertainty=uncertainty, orders=orders, width=width)
 
 
-def finer_settings(
-    coarse: Result, scene: Scene, stiffer: Mapping[str, Any]
-) -> list[dict[str, Any]]:
-    """Return the settings of the runs after the coarse one, from cheap to expensive.
-
-    Args:
-        coarse: The coarse run.
-        scene: Its scene.
-        stiffer: Settings of stiffer contacts; empty without contacts.
-    """
+def given_level(coarse: Result) -> Level:
+    """Return the level of a coarse run."""
     step_s, cell_m = (coarse.settings.get(name) for name in ("timestep_s", "cell_m"))
     if not step_s:
         raise ParameterError(
             f"backend {coarse.backend!r} has no setting timestep_s that can be refined: choose another one"
         )
-    given = coarse.settings_given
-    finer = [{**given, "timestep_s": step_s / parts} for parts in (2, 4)]
-    if stiffer:
-        finer.append({**finer[-1], **stiffer})
+    return Level(step_s, 0, cell_m)
+
+
+def refinements(coarse: Result, scene: Scene) -> dict[str, list[Level]]:
+    """Return the levels from coarse to fine, by what is refined; the last one is the finest run.
+
+    Steps are refined with contacts that are half as soft, contacts at a quarter of the step, and cells with both.
+
+    Args:
+        coarse: The coarse run.
+        scene: Its scene.
+    """
+    given = given_level(coarse)
+    stiffest = 1 if softened(coarse, scene, halvings=1) else 0
+    steps = [
+        replace(given, step_s=given.step_s / parts, halvings=stiffest)
+        for parts in (1, 2, 4)
+    ]
+    finest = steps[-1]
+    levels = {"step": steps}
+    if stiffest:
+        levels[SOFTNESS] = [replace(finest, halvings=power) for power in (-1, 0, 1)]
     if scene.deformables:
-        if not cell_m:
+        if not given.cell_m:
             names = ", ".join(body.name for body in scene.deformables)
             raise ParameterError(
                 f"{coarse.id}: the preset chooses the cells of {names}, so they cannot be halved: give their edge in "
                 "metres by --set cell_m=..."
             )
-        finer.append(finer[-1] | {"cell_m": cell_m / 2})
-    return finer
+        levels["cells"] = [finest, replace(finest, cell_m=given.cell_m / 2)]
+    return levels
 
 
-def stiffer_contacts(coarse: Result, scene: Scene) -> dict[str, Any]:
-    """Return settings with which contacts are half as soft; empty if nothing touches or the engine declares none."""
-    stiffer: dict[str, Any] = {}
+def settings_of(level: Level, coarse: Result, scene: Scene) -> dict[str, Any]:
+    """Return the settings of a level.
+
+    Args:
+        level: The level.
+        coarse: The coarse run.
+        scene: Its scene.
+    """
+    cells = {"cell_m": level.cell_m} if level.cell_m else {}
+    contacts = softened(coarse, scene, halvings=level.halvings)
+    step = {"timestep_s": level.step_s}
+    return {**coarse.settings_given, **step, **contacts, **cells}
+
+
+def softened(coarse: Result, scene: Scene, *, halvings: int) -> dict[str, Any]:
+    """Return settings that halve the softness of contacts; empty if nothing touches or the engine declares none.
+
+    Args:
+        coarse: The coarse run.
+        scene: Its scene.
+        halvings: Number of halvings; -1 doubles the softness.
+    """
+    found: dict[str, Any] = {}
     if not scene.contacts:
-        return stiffer
-    for name, factor in backend_class(coarse.backend or "").contact_softness.items():
-        value = coarse.settings.get(name)
+        return found
+    for name, half in backend_class(coarse.backend or "").contact_softness.items():
+        value, factor = coarse.settings.get(name), half**halvings
         if isinstance(value, Sequence):
             time_s, ratio = value
             # Numbers below 0 are minus a stiffness and minus a damping.
             direct = [time_s / factor**2, ratio / factor]
-            stiffer[name] = direct if time_s < 0.0 else [time_s * factor, ratio]
+            found[name] = direct if time_s < 0.0 else [time_s * factor, ratio]
         elif value is not None:
-            stiffer[name] = value * factor
-    return stiffer
+            found[name] = value * factor
+    return found
 
 
-def minutes(coarse: Result, scene: Scene, finer: Sequence[Mapping[str, Any]]) -> float:
-    """Return the estimated minutes of processor time of the finer runs."""
-    parts = [2, *[4] * (len(finer) - 1)]
-    if scene.deformables:
-        parts[-1] *= max(MORE_CELLS.get(type(body), 2) for body in scene.deformables)
+def minutes(coarse: Result, scene: Scene, levels: Iterable[Level]) -> float:
+    """Return the estimated minutes of processor time of the runs at some levels."""
+    given, bodies = given_level(coarse), scene.deformables
+    more_cells = max((MORE_CELLS.get(type(body), 2) for body in bodies), default=1)
+    parts = [
+        (1 if level.cell_m == given.cell_m else more_cells)
+        * given.step_s
+        / level.step_s
+        for level in levels
+    ]
     return (coarse.cpu_s or 0.0) * sum(parts) / 60.0
 
 
