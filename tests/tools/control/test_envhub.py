@@ -15,7 +15,7 @@ make_env = runpy.run_path(str(ROOT / "packaging" / "hub" / "envhub" / "env.py"))
 
 @needs_opengl
 def test_a_policy_near_the_limit_succeeds_and_a_passive_one_does_not():
-    configuration = SimpleNamespace(task="GAUGE/Throw-Limit-rubber")
+    configuration = SimpleNamespace(task="GAUGE/SlopeSlider-Limit-metal")
     suites = make_env(n_envs=2, cfg=configuration)
     (env,) = suites["gauge_limit"].values()
     observation, _ = env.reset(seed=[0, 1])
@@ -25,8 +25,8 @@ def test_a_policy_near_the_limit_succeeds_and_a_passive_one_does_not():
     assert all(isinstance(text, str) for text in env.call("task_description"))
     law_actions = env.envs[0].unwrapped
     for _ in range(env.call("_max_episode_steps")[0]):
-        actions = np.zeros((2, 2), np.float32)
-        actions[0] = law_actions.law_action(1.0)
+        actions = np.zeros((2, 1), np.float32)
+        actions[0] = law_actions.law_action(0.98)
         *_, truncated, info = env.step(actions)
     assert truncated.all()
     assert info["final_info"]["is_success"].tolist() == [True, False]
