@@ -28,7 +28,7 @@ from gauge_envs.backends import (
     registry,
 )
 from gauge_envs.backends.registry import backend_class
-from gauge_envs.backends.shared.rigid import TetherSpring
+from gauge_envs.backends.shared.rigid import TetherSpring, later_targets, motion_steps
 from gauge_envs.errors import (
     BackendError,
     MissingExtraError,
@@ -38,7 +38,7 @@ from gauge_envs.errors import (
 from gauge_envs.experiments.variants import find_variant
 from gauge_envs.fixtures.parts import ball, contact, ground
 from gauge_envs.runs import workers
-from gauge_envs.scene import ConvexUnion, Motion, Scene, Tether
+from gauge_envs.scene import ConvexUnion, Motion, Pose, Scene, Tether
 from gauge_envs.scene.drivers import Driver, DriverMotion
 from gauge_envs.tools.catalog import listing
 from gauge_envs.tools.conformance import run_checks
@@ -404,3 +404,28 @@ def test_a_string_is_a_critically_damped_spring_that_only_pulls():
     assert pull(1.19, -0.2) == pytest.approx([0.0, 0.0, expected], rel=1e-9)
     assert pull(1.21, -0.6) is None
     assert pull(1.19, 0.6) is None
+
+
+def test_mean_velocities_follow_a_driven_motion_exactly():
+    start = Pose.from_euler_deg((0.1, 0.2, 0.3), (20.0, -30.0, 40.0))
+    rates = np.array([0.3, -0.1, 0.2, 1.0, 2.0, -1.5])
+    acceleration = np.array([2.0, 1.0, -3.0, 40.0, -10.0, 20.0])
+    row = np.hstack([start.position_m, start.quaternion, rates, acceleration])
+    seconds, count = 1 / 180, 4
+    travel = rates * seconds + 0.5 * acceleration * seconds**2
+    (later,) = later_targets(row[None], seconds)
+    end = Pose.of_state(later)
+    turned = Rotation.from_rotvec(travel[3:]) * start.rotation
+    assert end.position_m == pytest.approx(start.position_m + travel[:3], abs=1e-15)
+    assert (end.rotation * turned.inv()).magnitude() < 1e-14
+    assert later[7:13] == pytest.approx(rates + acceleration * seconds)
+    position, rotation = np.asarray(start.position_m), start.rotation
+    poses, velocities = motion_steps(row, seconds / count, count)
+    for pose, velocity in zip(poses, velocities, strict=True):
+        assert pose[:3] == pytest.approx(position, abs=1e-15)
+        reached = Rotation.from_quat(pose[3:], scalar_first=True)
+        assert (reached * rotation.inv()).magnitude() < 1e-14
+        position = position + velocity[:3] * seconds / count
+        rotation = Rotation.from_rotvec(velocity[3:] * seconds / count) * rotation
+    assert position == pytest.approx(end.position_m, abs=1e-15)
+    assert (rotation * end.rotation.inv()).magnitude() < 1e-14
