@@ -125,9 +125,9 @@ Sources = Annotated[
 ]
 
 
-def experiment(text: str, panel: str = SCENE) -> Any:
+def experiment(text: str) -> Any:
     """Return the option `--id`."""
-    return option(panel, text, "--id", metavar="ID")
+    return option(SCENE, text, "--id", metavar="ID")
 
 
 # --- scene -----------------------------------------------------------------------------------------------------------

@@ -356,26 +356,13 @@ class SceneBuilder:
             for name in entries
         )
         is_effective = bool(first and second) and moves
-        return Contact(
-            first=first,
-            second=second,
-            friction=self._contact_constant(spec, "friction", is_effective),
-            restitution=self._contact_constant(spec, "restitution", is_effective),
-            mode=spec.mode,
-        )
-
-    def _contact_constant(
-        self, spec: ContactSpec, constant: str, is_effective: bool
-    ) -> float:
-        """Return friction or restitution of a contact: of the contact itself, else of the body in `constants_of`."""
-        number: float | None = getattr(spec, constant)
-        if number is not None:
-            return number
-        owner = str(spec.constants_of)
-        number = self._read(owner, constant, has_effect=is_effective)
-        if number is None:
-            raise ValueError(f"contacts: {owner!r} has no {constant}")
-        return number
+        values = {}
+        for constant in ("friction", "restitution"):
+            number = self._read(spec.constants_of, constant, has_effect=is_effective)
+            if number is None:
+                raise ValueError(f"contacts: {spec.constants_of!r} has no {constant}")
+            values[constant] = number
+        return Contact(first=first, second=second, mode=spec.mode, **values)
 
     def _markers(self) -> Markers | None:
         markers = self.spec.markers

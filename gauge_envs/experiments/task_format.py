@@ -197,18 +197,8 @@ class ContactSpec(FileModel):
     """Two groups of bodies that collide, and the body whose constants apply to each pair."""
 
     bodies: tuple[str, str]
-    constants_of: str | None = None
-    friction: NonNegative | None = None
-    restitution: Fraction | None = None
+    constants_of: str
     mode: ContactMode = ContactMode.SUSTAINED
-
-    @model_validator(mode="after")
-    def _complete(self) -> ContactSpec:
-        if self.constants_of is None and (
-            self.friction is None or self.restitution is None
-        ):
-            raise ValueError("give constants_of, or both friction and restitution")
-        return self
 
 
 def _within_markers(markers: Markers) -> Markers:

@@ -12,6 +12,9 @@ from numpy.typing import ArrayLike
 from gauge_envs.errors import ShapeError
 from gauge_envs.scene.geometry import FloatArray, IntArray
 
+MAX_MARKER_DISTANCE_M = 0.01
+"""Largest distance between a marker and its proxy (paper, simulation and track: below 1 cm)."""
+
 
 class AngleDeficits:
     """Discrete Gaussian curvature at each marker of one textile (paper, appendix on metrics, K).
@@ -113,9 +116,7 @@ def face_areas_mm2(markers_m: ArrayLike, faces: ArrayLike) -> FloatArray:
     return 0.5 * _cross_length(b - a, c - a)
 
 
-def assign_markers(
-    markers_m: ArrayLike, nodes_m: ArrayLike, *, max_distance_m: float = 0.01
-) -> IntArray:
+def assign_markers(markers_m: ArrayLike, nodes_m: ArrayLike) -> IntArray:
     """Return the node of a simulated mesh that is the proxy of each marker.
 
     Each node is used once, and the summed distance is the smallest (Hungarian algorithm).
@@ -123,7 +124,6 @@ def assign_markers(
     Args:
         markers_m: Initial marker positions, shape [marker_count, 3], m.
         nodes_m: Initial node positions of the mesh, shape [node_count, 3], m.
-        max_distance_m: Largest distance between a marker and its node, m.
 
     Returns:
         Node index of each marker, shape [marker_count].
@@ -139,10 +139,10 @@ def assign_markers(
         )
     assigned = distances[markers, nodes]
     worst = int(np.argmax(assigned))
-    if assigned[worst] > max_distance_m:
+    if assigned[worst] > MAX_MARKER_DISTANCE_M:
         raise ShapeError(
             f"marker {worst} is {1e3 * assigned[worst]:.1f} mm from its node {nodes[worst]}; "
-            f"the limit is {1e3 * max_distance_m:.1f} mm"
+            f"the limit is {1e3 * MAX_MARKER_DISTANCE_M:.1f} mm"
         )
     return nodes
 

@@ -12,9 +12,10 @@ from typing import Protocol
 
 import numpy as np
 
-from gauge_envs.backends.simulation import Simulation
+from gauge_envs.backends.simulation import Sampler, Simulation
 from gauge_envs.errors import ShapeError
 from gauge_envs.observables.functions import (
+    MAX_MARKER_DISTANCE_M,
     AngleDeficits,
     assign_markers,
     face_areas_mm2,
@@ -22,10 +23,7 @@ from gauge_envs.observables.functions import (
 )
 from gauge_envs.observables.kinds import Observable
 from gauge_envs.scene import Cloth, Deformable, Markers, Scene
-from gauge_envs.scene.geometry import FloatArray, IntArray, length_of
-
-MAX_MARKER_DISTANCE_M = 0.01
-"""Largest distance between a marker and its proxy (paper, simulation and track: below 1 cm)."""
+from gauge_envs.scene.geometry import FloatArray, IntArray
 
 
 class MarkerProxy(StrEnum):
@@ -44,10 +42,13 @@ class Observer(Protocol):
     """
 
     def read(self, simulation: Simulation) -> FloatArray:
-        """Return what gives the points now [m], shape [N, count, 3]; the next interval may overwrite it."""
+        """Return what gives the points now, shape [N, count, width]."""
 
-    def points(self, read_m: FloatArray) -> FloatArray:
-        """Return the bodies or markers [m], shape [..., point_count, 3], from readings of shape [..., count, 3]."""
+    def sampler(self, simulation: Simulation, rows: FloatArray) -> Sampler:
+        """Return a sampler of such readings."""
+
+    def points(self, readings: FloatArray) -> FloatArray:
+        """Return the bodies or markers [m], shape [..., point_count, 3], from readings of shape [..., count, width]."""
 
     def observe(self, points_m: FloatArray) -> FloatArray:
         """Return g(t) of points [m], shape [..., width]."""
@@ -60,12 +61,16 @@ class ObserverPositions:
         self._names = tuple(names)
 
     def read(self, simulation: Simulation) -> FloatArray:
-        """Return the positions of the bodies now [m]."""
-        return simulation.body_positions(self._names)
+        """Return the states of the bodies now."""
+        return simulation.body_states(self._names)
 
-    def points(self, read_m: FloatArray) -> FloatArray:
-        """Return the positions themselves."""
-        return read_m
+    def sampler(self, simulation: Simulation, rows: FloatArray) -> Sampler:
+        """Return a sampler of these states."""
+        return simulation.sampler(self._names, rows)
+
+    def points(self, readings: FloatArray) -> FloatArray:
+        """Return the positions of states."""
+        return readings[..., :3]
 
     def observe(self, points_m: FloatArray) -> FloatArray:
         """Return the positions [mm], shape [..., width]."""
@@ -102,20 +107,18 @@ class ObserverMarkers:
         self.marker_count = len(targets_m)
         self._formula = formula_of(scene.markers, observable)
         self._track: Callable[[], FloatArray] | None = None
+        if proxy is MarkerProxy.MATERIAL:
+            self._track = _tracker(simulation, self._bodies, targets_m)
+        if self._track is not None:
+            return
         rest = {name: simulation.nodes(name)[0] for name in self._bodies}
         if proxy is MarkerProxy.NODE:
-            nodes = np.concatenate(list(rest.values()))
-            nearest = assign_markers(
-                targets_m, nodes, max_distance_m=MAX_MARKER_DISTANCE_M
-            )
+            nearest = assign_markers(targets_m, np.concatenate([*rest.values()]))
             self.indices, self.weights = nearest[:, None], np.ones((len(nearest), 1))
         else:
-            self._track = _tracker(simulation, self._bodies, targets_m)
-        if proxy is MarkerProxy.MATERIAL and self._track is None:
             deformables = {body.name: body for body in scene.deformables}
             self.indices, self.weights = material_points(targets_m, rest, deformables)
-        if self._track is None:
-            self._columns = np.flatnonzero(self.weights.any(axis=0)).tolist()
+        self._columns = np.flatnonzero(self.weights.any(axis=0)).tolist()
 
     def markers(self, simulation: Simulation) -> FloatArray:
         """Return the markers now [m], shape [N, marker_count, 3]."""
@@ -128,15 +131,19 @@ class ObserverMarkers:
         parts = [simulation.nodes(name) for name in self._bodies]
         return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)
 
-    def points(self, read_m: FloatArray) -> FloatArray:
+    def sampler(self, simulation: Simulation, rows: FloatArray) -> Sampler:
+        """Return a sampler of these markers or nodes."""
+        return Sampler(partial(self.read, simulation), rows)
+
+    def points(self, readings: FloatArray) -> FloatArray:
         """Return the markers [m]: those read, or the weighted nodes of each."""
         if self._track is not None:
-            return read_m
-        markers_m = np.zeros((*read_m.shape[:-2], self.marker_count, 3))
+            return readings
+        markers_m = np.zeros((*readings.shape[:-2], self.marker_count, 3))
         # Cloth has three nodes for each marker, and a fourth without weight.
         for column in self._columns:
             weights = self.weights[:, column, None]
-            markers_m += weights * read_m.take(self.indices[:, column], axis=-2)
+            markers_m += weights * readings.take(self.indices[:, column], axis=-2)
         return markers_m
 
     def observe(self, points_m: FloatArray) -> FloatArray:
@@ -223,23 +230,22 @@ def _material_points(
     best = np.full(len(targets_m), np.inf)
     first = 0
     for name, content, body in bodies:
-        nodes = np.frombuffer(content).reshape(-1, 3)
-        points, queries = nodes, targets_m
+        nodes_m = np.frombuffer(content).reshape(-1, 3)
+        points, queries = nodes_m, targets_m
         if isinstance(body, Cloth):
             points, queries = (
-                body.pose.to_body(nodes)[:, :2],
-                body.pose.to_body(targets_m)[:, :2],
+                body.pose.to_body(places_m)[:, :2] for places_m in (nodes_m, targets_m)
             )
-        for marker, (simplex, share) in enumerate(_barycentric(name, points, queries)):
-            distance_m = length_of(share @ nodes[simplex] - targets_m[marker])
-            if distance_m < best[marker]:
-                best[marker] = distance_m
-                indices[marker], weights[marker] = 0, 0.0
-                indices[marker, : len(simplex)], weights[marker, : len(simplex)] = (
-                    first + simplex,
-                    share,
-                )
-        first += len(nodes)
+        simplices, shares = _barycentric(name, points, queries)
+        placed_m = np.einsum("mk,mkc->mc", shares, nodes_m[simplices])
+        distances_m = np.linalg.norm(placed_m - targets_m, axis=1)
+        is_nearer = distances_m < best
+        best[is_nearer] = distances_m[is_nearer]
+        corner_count = simplices.shape[1]
+        indices[is_nearer], weights[is_nearer] = 0, 0.0
+        indices[is_nearer, :corner_count] = first + simplices[is_nearer]
+        weights[is_nearer, :corner_count] = shares[is_nearer]
+        first += len(nodes_m)
     if best.max() > MAX_MARKER_DISTANCE_M:
         worst = int(best.argmax())
         raise ShapeError(
@@ -253,9 +259,13 @@ def _material_points(
 
 def _barycentric(
     name: str, points: FloatArray, queries: FloatArray
-) -> list[tuple[IntArray, FloatArray]]:
-    """Return simplex and weights of each query; a query outside moves to the surface of the nearest simplex."""
+) -> tuple[IntArray, FloatArray]:
+    """Return the points of a simplex and their weights for each query, shape [query_count, corner_count] both.
+
+    A query outside moves to the surface of the nearest simplex.
+    """
     from scipy.spatial import Delaunay, QhullError
+    from scipy.spatial.distance import cdist
 
     try:
         mesh = Delaunay(points)
@@ -263,16 +273,12 @@ def _barycentric(
         raise ShapeError(
             f"{name}: its nodes span no area or volume to interpolate in"
         ) from error
-    centres = points[mesh.simplices].mean(axis=1)
     simplices = mesh.find_simplex(queries, tol=1e-9)
     outside = simplices < 0
-    simplices[outside] = (
-        ((queries[outside, None] - centres[None]) ** 2).sum(axis=2).argmin(axis=1)
-    )
-    results = []
-    for query, simplex in zip(queries, simplices, strict=True):
-        transform = mesh.transform[simplex]
-        share = transform[:-1] @ (query - transform[-1])
-        share = np.clip(np.append(share, 1.0 - share.sum()), 0.0, None)
-        results.append((mesh.simplices[simplex], share / share.sum()))
-    return results
+    centres = points[mesh.simplices].mean(axis=1)
+    simplices[outside] = cdist(queries[outside], centres).argmin(axis=1)
+    transforms = mesh.transform[simplices]
+    arms = queries - transforms[:, -1]
+    shares = np.einsum("qij,qj->qi", transforms[:, :-1], arms)
+    shares = np.column_stack([shares, 1.0 - shares.sum(axis=1)]).clip(min=0.0)
+    return mesh.simplices[simplices], shares / shares.sum(axis=1, keepdims=True)

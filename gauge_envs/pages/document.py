@@ -20,6 +20,7 @@ Example:
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
+from itertools import chain
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -109,21 +110,11 @@ def document_of(shown: Shown) -> Document:
 def as_rows(shown: Shown) -> list[dict[str, Any]]:
     """Return the JSON-ready objects of a document."""
     document = document_of(shown)
-    rows: list[Any] = []
-    if document.rows is not None:
-        rows += document.rows
-    else:
-        for part in document.parts:
-            if isinstance(part, Table):
-                rows += part.rows
-    return json_ready([_as_mapping(row) for row in rows])
-
-
-def _as_mapping(row: Any) -> Mapping[str, Any]:
-    """Return a row as a mapping: an object as its attributes."""
-    if isinstance(row, Mapping):
-        return row
-    return vars(row)
+    rows: Iterable[Any] | None = document.rows
+    if rows is None:
+        tables = (part for part in document.parts if isinstance(part, Table))
+        rows = chain.from_iterable(table.rows for table in tables)
+    return json_ready([row if isinstance(row, Mapping) else vars(row) for row in rows])
 
 
 def save_file(path: Path, content: str | bytes) -> Path:

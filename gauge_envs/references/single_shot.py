@@ -20,7 +20,7 @@ from gauge_envs.references.band import Band, ExactLaw, RecordedEvent
 from gauge_envs.references.kind import Kind
 from gauge_envs.references.tables import scoring_folder
 from gauge_envs.scene.geometry import FloatArray
-from gauge_envs.scene.timing import FRAME_RATE_HZ
+from gauge_envs.scene.timing import frame_times_s
 from gauge_envs.text import toml_document
 
 QUATERNION_UNIT = 1.0 / 32767.0
@@ -133,7 +133,7 @@ class SingleShots:
             frame_count: Number of 30 Hz frames of an episode.
         """
         shot, nuisances = self.shot(trial), self.metadata["nuisances"]
-        times_s = np.arange(frame_count) / FRAME_RATE_HZ
+        times_s = frame_times_s(frame_count)
         mean = 1e3 * shot.positions_at(times_s)
         if "position_std" in self.arrays:
             rows = self.arrays["first"][trial] + np.arange(frame_count)

@@ -19,7 +19,7 @@ from gauge_envs.references.user_data import BUNDLED_DATA
 from gauge_envs.registry import package_versions
 from gauge_envs.runs.motion import Motion
 from gauge_envs.scene.geometry import FloatArray
-from gauge_envs.scene.timing import FRAME_RATE_HZ
+from gauge_envs.scene.timing import FRAME_RATE_HZ, frame_times_s
 from gauge_envs.scoring.metrics import FRAME_TOLERANCE_S
 from gauge_envs.scoring.score import Score
 
@@ -137,7 +137,7 @@ class RecordedTrajectory:
         return RecordedTrajectory(
             unit="mm",
             coordinates=[f"marker-{n}.{axis}" for n in numbers for axis in "xyz"],
-            times_s=np.arange(len(self.markers_mm)) / FRAME_RATE_HZ,
+            times_s=frame_times_s(len(self.markers_mm)),
             samples=self.markers_mm,
         )
 

@@ -11,23 +11,19 @@ import numpy as np
 from gauge_envs.scene.bodies import RigidBody
 from gauge_envs.scene.geometry import (
     Box,
-    Capsule,
     Compound,
     ConvexUnion,
     Cylinder,
-    Ellipsoid,
     FloatArray,
+    PartShape,
     Plane,
     Pose,
     Shape,
-    Sphere,
     vector,
 )
 
 TOUCHING_M = 1e-5
 """Largest gap between two faces in contact [m]; published positions have six decimals."""
-
-PartShape = Box | Sphere | Cylinder | Capsule | Ellipsoid | ConvexUnion
 
 Piece = tuple[FloatArray, FloatArray]
 """Corners [m], shape [corner_count, 3], and planes of flat faces, shape [face_count, 4], of a convex solid.

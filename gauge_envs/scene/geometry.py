@@ -137,11 +137,8 @@ def quaternion_vectors(quaternions: FloatArray) -> FloatArray:
     shorter = np.where(quaternions[:, :1] < 0.0, -quaternions, quaternions)
     cosines, axes = shorter[:, 0], shorter[:, 1:]
     sines = np.sqrt((axes * axes).sum(axis=1))
-    angles = 2.0 * np.arctan2(sines, cosines)
-    # For small angles, angle / sin(angle / 2) by its series.
-    scales = 2.0 + angles**2 / 12.0 + 7.0 * angles**4 / 2880.0
-    large = angles > 1e-3
-    scales[large] = angles[large] / np.sin(0.5 * angles[large])
+    # Without a rotation, the axis is 0.
+    scales = 2.0 * np.arctan2(sines, cosines) / np.maximum(sines, 1e-300)
     return np.asarray(scales[:, None] * axes)
 
 
@@ -309,11 +306,14 @@ class Ellipsoid:
         return _box_corners_m(*self.radii_m)
 
 
+PartShape = Box | Sphere | Cylinder | Capsule | Ellipsoid | ConvexUnion
+
+
 @dataclass(frozen=True, kw_only=True)
 class Part:
     """One solid of a `Compound`, with its pose in the body frame."""
 
-    shape: Box | Sphere | Cylinder | Capsule | Ellipsoid | ConvexUnion
+    shape: PartShape
     pose: Pose
 
 

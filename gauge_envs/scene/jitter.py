@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
@@ -126,11 +125,9 @@ class _Noise:
     def __init__(self, scene: Scene, jitter: Jitter, seed: int) -> None:
         self._scene, self._jitter = scene, jitter
         self._places = np.random.default_rng(seed)
-        self._seed = seed
-        stds = (jitter.velocity_m_per_s, jitter.angular_velocity_rad_per_s)
-        self._push_std = np.repeat(stds, 3)
-        self._moves: dict[TouchingGroup, tuple[FloatArray, FloatArray]] = {}
-        self._group_pushes: dict[TouchingGroup, FloatArray] = {}
+        # Poses do not depend on the standard deviations of velocities.
+        self._pushes = np.random.default_rng((seed, 1))
+        self._moves: dict[TouchingGroup, tuple[FloatArray, ...]] = {}
 
     def move(self, state: FloatArray, body: RigidBody) -> None:
         """Move a body without a joint; the bodies that it touches get the same motion."""
@@ -138,15 +135,11 @@ class _Noise:
         is_ball = isinstance(body.shape, Sphere)
         blocked = np.zeros((0, 3)) if is_ball else group.blocked
         if group not in self._moves:
-            self._moves[group] = self._drawn_move(blocked, _axis(group.blocked))
-        shift_m, rotation_rad = self._moves[group]
+            move = self._drawn_move(blocked, _axis(group.blocked))
+            self._moves[group] = (*move, *self._drawn_push())
+        shift_m, rotation_rad, linear, angular = self._moves[group]
         rotate(state[:7], rotation_rad, group.centre_m)
         state[:3] += shift_m
-        if not self._push_std.any():
-            return
-        if group not in self._group_pushes:
-            self._group_pushes[group] = self._drawn_push()
-        linear, angular = self._group_pushes[group].reshape(2, 3)
         if not is_ball:
             linear = across(linear, blocked)
             angular = (angular @ _axis(blocked)) * _axis(blocked)
@@ -170,9 +163,7 @@ class _Noise:
         rotate(
             state, self._jitter.angle_rad * angles * axis, np.asarray(joint.anchor_m)
         )
-        if not self._push_std.any():
-            return
-        linear, angular = self._drawn_push().reshape(2, 3)
+        linear, angular = self._drawn_push()
         arm_m = state[:3] - joint.anchor_m
         if is_hinge:
             tangent_m = np.cross(axis, arm_m)
@@ -195,14 +186,14 @@ class _Noise:
         angle_rad = self._jitter.angle_rad * self._places.standard_normal()
         return across(shift_m, blocked), angle_rad * axis
 
-    @cached_property
-    def _pushes(self) -> np.random.Generator:
-        """Random numbers of velocities; poses use other random numbers."""
-        return np.random.default_rng((self._seed, 1))
-
-    def _drawn_push(self) -> FloatArray:
-        """Return a random linear [m/s] and angular velocity [rad/s], shape [6]."""
-        return self._push_std * self._pushes.standard_normal(6)
+    def _drawn_push(self) -> tuple[FloatArray, FloatArray]:
+        """Return a random linear [m/s] and angular velocity [rad/s]."""
+        linear, angular = self._pushes.standard_normal((2, 3))
+        jitter = self._jitter
+        return (
+            jitter.velocity_m_per_s * linear,
+            jitter.angular_velocity_rad_per_s * angular,
+        )
 
 
 def rotate(state: FloatArray, rotation_rad: FloatArray, point_m: FloatArray) -> None:

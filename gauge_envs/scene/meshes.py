@@ -3,6 +3,7 @@
 from itertools import pairwise
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from gauge_envs.scene.bodies import Cloth, Deformable, Region, RigidBody, Rope, SoftBody
 from gauge_envs.scene.geometry import (
@@ -14,7 +15,7 @@ from gauge_envs.scene.geometry import (
     Ellipsoid,
     FloatArray,
     IntArray,
-    Part,
+    PartShape,
     Shape,
     Sphere,
 )
@@ -110,30 +111,17 @@ def grid(size_m: tuple[float, float, float]) -> tuple[FloatArray, tuple[int, int
 
 def tetrahedra(shape: tuple[int, int, int]) -> IntArray:
     """Return six tetrahedra per grid cell about the same diagonal, so that the faces of neighbouring cells match."""
-    node = np.arange(np.prod(shape)).reshape(shape)
-    x, y, z = (1, 0, 0), (0, 1, 0), (0, 0, 1)
+    numbers = np.arange(np.prod(shape)).reshape(shape)
+    cells = sliding_window_view(numbers, (2, 2, 2))
     # Each path of three edges from the low to the high corner is a tetrahedron. Every second path is left-handed.
-    rows = []
-    for first, second, right_handed in (
-        (x, y, 1),
-        (y, z, 1),
-        (z, x, 1),
-        (y, x, 0),
-        (z, y, 0),
-        (x, z, 0),
-    ):
-        path = [(0, 0, 0), first, tuple(np.add(first, second)), (1, 1, 1)]
-        if not right_handed:
-            path[1], path[2] = path[2], path[1]
-        rows.append(
-            [
-                node[
-                    tuple(slice(o, n - 1 + o) for o, n in zip(step, shape, strict=True))
-                ]
-                for step in path
-            ]
-        )
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2).reshape(-1, 4)
+    corners = []
+    for axes in ((0, 1, 2), (1, 2, 0), (2, 0, 1), (1, 0, 2), (2, 1, 0), (0, 2, 1)):
+        edges = np.eye(3, dtype=int)[list(axes)]
+        path = np.cumsum([(0, 0, 0), *edges], axis=0)
+        if np.linalg.det(edges) < 0.0:
+            path[[1, 2]] = path[[2, 1]]
+        corners.append(cells[(..., *path.T)])
+    return np.stack(corners, axis=-2).reshape(-1, 4)
 
 
 def nodes_in(nodes_m: FloatArray, region: Region) -> IntArray:
@@ -143,7 +131,9 @@ def nodes_in(nodes_m: FloatArray, region: Region) -> IntArray:
     return np.flatnonzero(depth <= region.depth_m + TOUCHING_M)
 
 
-def mass_properties(shape: Shape, mass_kg: float) -> tuple[FloatArray, FloatArray]:
+def mass_properties(
+    shape: Shape | PartShape, mass_kg: float
+) -> tuple[FloatArray, FloatArray]:
     """Return the centre of mass and the inertia of a uniform solid.
 
     Returns:
@@ -171,6 +161,11 @@ def mass_properties(shape: Shape, mass_kg: float) -> tuple[FloatArray, FloatArra
         second = np.einsum("t,tci,tcj->ij", masses_kg / 20.0, arms_m, arms_m)
         second += np.einsum("t,ti,tj->ij", masses_kg / 20.0, sums_m, sums_m)
         return centre, np.trace(second) * np.eye(3) - second
+    if isinstance(shape, Capsule):
+        return np.zeros(3), _capsule_inertia(shape, mass_kg / shape.volume_m3)
+    if isinstance(shape, Ellipsoid):
+        x, y, z = np.square(shape.radii_m)
+        return np.zeros(3), mass_kg / 5.0 * np.diag([y + z, x + z, x + y])
     if isinstance(shape, Compound):
         return _compound_properties(shape, mass_kg)
     return np.zeros(3), np.zeros((3, 3))
@@ -200,31 +195,17 @@ def body_mass_properties(body: RigidBody) -> tuple[FloatArray, FloatArray]:
 def _compound_properties(
     shape: Compound, mass_kg: float
 ) -> tuple[FloatArray, FloatArray]:
-    density = mass_kg / shape.volume_m3
-    parts = [_part_properties(part, density) for part in shape.parts]
-    centre = sum((mass * place for mass, place, _ in parts), np.zeros(3)) / mass_kg
+    masses_kg, places_m = [], []
     inertia = np.zeros((3, 3))
-    for mass, place, about_centre in parts:
-        arm = place - centre
-        inertia += about_centre + mass * (arm @ arm * np.eye(3) - np.outer(arm, arm))
+    for part in shape.parts:
+        masses_kg.append(mass_kg * part.shape.volume_m3 / shape.volume_m3)
+        place, own = mass_properties(part.shape, masses_kg[-1])
+        places_m.append(part.pose.to_world(place))
+        inertia += part.pose.matrix @ own @ part.pose.matrix.T
+    centre = np.average(places_m, axis=0, weights=masses_kg)
+    for mass, arm in zip(masses_kg, places_m - centre, strict=True):
+        inertia += mass * (arm @ arm * np.eye(3) - np.outer(arm, arm))
     return centre, inertia
-
-
-def _part_properties(
-    part: Part, density_kg_per_m3: float
-) -> tuple[float, FloatArray, FloatArray]:
-    """Return mass, centre of mass and inertia about it of a part, in the axes of its body."""
-    shape = part.shape
-    mass = density_kg_per_m3 * shape.volume_m3
-    if isinstance(shape, Capsule):
-        centre, inertia = np.zeros(3), _capsule_inertia(shape, density_kg_per_m3)
-    elif isinstance(shape, Ellipsoid):
-        x, y, z = np.square(shape.radii_m)
-        centre, inertia = np.zeros(3), mass / 5.0 * np.diag([y + z, x + z, x + y])
-    else:
-        centre, inertia = mass_properties(shape, mass)
-    rotation = part.pose.matrix
-    return mass, part.pose.to_world(centre), rotation @ inertia @ rotation.T
 
 
 def _capsule_inertia(shape: Capsule, density_kg_per_m3: float) -> FloatArray:

@@ -92,17 +92,18 @@ class CosineProfile:
         """Largest absolute rate [m/s or rad/s]."""
         return 0.5 * np.pi * abs(self.amount) / self.duration_s
 
+    def _angle_rad(self, time_s: float) -> float:
+        """Return the phase at a time, from 0 to pi."""
+        return np.pi * min(max((time_s - self.start_s) / self.duration_s, 0.0), 1.0)
+
     def value(self, time_s: float) -> float:
         """Return the coordinate at a time, relative to its start [m or rad]."""
-        phase = min(max((time_s - self.start_s) / self.duration_s, 0.0), 1.0)
-        return 0.5 * self.amount * (1.0 - float(np.cos(np.pi * phase)))
+        return 0.5 * self.amount * (1.0 - float(np.cos(self._angle_rad(time_s))))
 
     def rate(self, time_s: float) -> float:
         """Return the rate at a time [m/s or rad/s]."""
-        phase = min(max((time_s - self.start_s) / self.duration_s, 0.0), 1.0)
-        return (
-            0.5 * np.pi * self.amount / self.duration_s * float(np.sin(np.pi * phase))
-        )
+        largest = 0.5 * np.pi * self.amount / self.duration_s
+        return largest * float(np.sin(self._angle_rad(time_s)))
 
 
 @dataclass(frozen=True, kw_only=True)

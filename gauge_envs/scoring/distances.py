@@ -11,7 +11,7 @@ from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.references.band import Band
 from gauge_envs.references.published import PUBLISHED_TRIALS
 from gauge_envs.scene.geometry import BoolArray, FloatArray
-from gauge_envs.scene.timing import FRAME_RATE_HZ
+from gauge_envs.scene.timing import frame_times_s
 from gauge_envs.scoring.answers import (
     baseline_means,
     cause_of,
@@ -170,7 +170,7 @@ def _aligned(score: Score, motion: ComparedMotion) -> Score:
         for values in (samples, np.gradient(samples, times_s, axis=0))
     )
     # The simulation rests before its start.
-    velocity[np.arange(len(frames)) / FRAME_RATE_HZ < offset_s] = 0.0
+    velocity[frame_times_s(len(frames)) < offset_s] = 0.0
     # At the bound, the shift cannot follow an error of the mean.
     is_at_bound = abs(offset_s) >= MAX_TIME_OFFSET_S - 1e-6
     deviation = frames - band.mean
@@ -195,7 +195,7 @@ def _from_exact(score: Score, motion: ComparedMotion) -> Score:
     exact_places = exact_path(experiment, band)
     if exact_places is None:
         return score
-    places = exact_places(np.arange(len(frames)) / FRAME_RATE_HZ)
+    places = exact_places(frame_times_s(len(frames)))
     exact = band.project(places)
     holds = law_holds(experiment, places, band)
     path = exact[holds]
@@ -257,7 +257,7 @@ def _distance_from_exact(
         time_offset_s: Time shift of the motion to the trials [s]. Frames that this shift moves beyond the end of the
             trials do not count, as in the score.
     """
-    times_s = np.arange(len(frames)) / FRAME_RATE_HZ
+    times_s = frame_times_s(len(frames))
     is_compared = holds & (times_s <= times_s[-1] - max(time_offset_s, 0.0))
 
     def shifted_rmse(offset_s: FloatArray) -> FloatArray:

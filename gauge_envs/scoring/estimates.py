@@ -16,7 +16,7 @@ from gauge_envs.references.band import Band, ExactLaw
 from gauge_envs.scene import ContactMode
 from gauge_envs.scene.geometry import BoolArray, FloatArray, length_of
 from gauge_envs.scene.scene import GRAVITY_M_PER_S2
-from gauge_envs.scene.timing import FRAME_RATE_HZ
+from gauge_envs.scene.timing import FRAME_RATE_HZ, frame_times_s
 from gauge_envs.scoring.answers import TELLING_SHARE, Answer
 from gauge_envs.scoring.estimators import (
     acceleration_error_m_per_s2,
@@ -280,7 +280,7 @@ def _seen_trials(
     band: Band, frames: BoolArray | bool = True
 ) -> Iterator[tuple[FloatArray, FloatArray]]:
     """Yield the times [s] and places of each real trial at some frames, where all coordinates were captured."""
-    times_s = np.arange(len(band.mean)) / FRAME_RATE_HZ
+    times_s = frame_times_s(len(band.mean))
     for trial in () if band.trials is None else band.trials:
         seen = frames & np.isfinite(trial).all(axis=1)
         yield times_s[seen], trial[seen]
@@ -374,7 +374,7 @@ def _ringing(
 def _real_ringing(band: Band, level_mm: float) -> tuple[Ringing, ...]:
     """Return the ringing of each real trial, or of the mean without trials."""
     trials = band.mean[None] if band.trials is None else band.trials
-    times_s = np.arange(len(band.mean)) / FRAME_RATE_HZ
+    times_s = frame_times_s(len(band.mean))
     fits = (fit_ringing(times_s, trial[:, 0], level_mm=level_mm) for trial in trials)
     return tuple(fit for fit in fits if fit is not None)
 

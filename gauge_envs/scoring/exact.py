@@ -36,21 +36,18 @@ Law = Callable[[Scene, RigidBody], Path | None]
 TINY = np.finfo(float).tiny
 
 
-def exact_motion(
-    experiment: Experiment, times_s: FloatArray, band: Band | None = None
-) -> FloatArray | None:
+def exact_motion(experiment: Experiment, times_s: FloatArray) -> FloatArray | None:
     """Return g(t) of the exact solution of a scene, shape [S, D]; None without a closed form, see `exact_path`.
 
     Args:
         experiment: Experiment with any constants and start.
         times_s: Any times since the release [s], shape [S]. Before 0 the body rests.
-        band: Reference of the experiment; None reads it.
     """
-    path = exact_path(experiment, band)
+    path = exact_path(experiment, reference_band(experiment))
     return None if path is None else path(times_s)
 
 
-def exact_path(experiment: Experiment, band: Band | None = None) -> Path | None:
+def exact_path(experiment: Experiment, band: Band | None) -> Path | None:
     """Return the exact path of a scene [mm]; None without a closed form.
 
     A scene outside the limits of its law has none: another body, a sliding body with a start velocity, or a start
@@ -58,9 +55,8 @@ def exact_path(experiment: Experiment, band: Band | None = None) -> Path | None:
 
     Args:
         experiment: Experiment with any constants and start.
-        band: Reference of the experiment; None reads it.
+        band: Reference of the experiment, which names the law; None without one.
     """
-    band = band or reference_band(experiment)
     is_replaced = experiment.edited and experiment.model_file is not None
     if band is None or band.exact_law is None or is_replaced:
         return None

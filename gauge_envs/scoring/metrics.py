@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from gauge_envs.errors import ShapeError
 from gauge_envs.scene.geometry import FloatArray, IntArray
-from gauge_envs.scene.timing import FRAME_RATE_HZ
+from gauge_envs.scene.timing import FRAME_RATE_HZ, frame_times_s
 
 MAX_TIME_OFFSET_S = 10 / 30
 """Largest time shift of the alignment in either direction [s]. Recorded bodies are released within 9 frames."""
@@ -202,7 +202,7 @@ def shifted_frames(
         frame_count: Number of frames.
     """
     delays_s = np.asarray(offset_s)[..., None]
-    queries_s = np.arange(frame_count) / FRAME_RATE_HZ - delays_s
+    queries_s = frame_times_s(frame_count) - delays_s
     frames = interpolated(queries_s, times_s, values)
     frames[queries_s > times_s[-1] + ROUNDING_S] = np.nan
     return frames
@@ -221,7 +221,7 @@ def frame_index(
     Raises:
         ShapeError: A frame has no sample within 0.1 ms (`FRAME_TOLERANCE_S`), before or after it.
     """
-    frames_s = np.arange(frame_count) / FRAME_RATE_HZ
+    frames_s = frame_times_s(frame_count)
     index = nearest_sample(times_s, frames_s)
     missing = np.abs(times_s[index] - frames_s) > FRAME_TOLERANCE_S
     if missing.any():

@@ -16,7 +16,7 @@ import numpy as np
 from gauge_envs.observables.deformation import deformation, solid_axes
 from gauge_envs.scene import Scene, Sphere
 from gauge_envs.scene.geometry import FloatArray, length_of
-from gauge_envs.scene.timing import FRAME_RATE_HZ
+from gauge_envs.scene.timing import frame_times_s
 from gauge_envs.scoring.events import local_maxima, oscillation_period, swing_times
 
 CONTACT_S = 0.005
@@ -50,7 +50,7 @@ class SampledMotion:
     @property
     def frames_s(self) -> FloatArray:
         """Times of the frames [s], shape [T]."""
-        return np.arange(len(self.markers_m)) / FRAME_RATE_HZ
+        return frame_times_s(len(self.markers_m))
 
 
 def _angles_deg(start_m: FloatArray, end_m: FloatArray) -> FloatArray:

@@ -143,4 +143,3 @@ def test_markers_get_unique_nodes_with_the_smallest_total_distance():
     message = r"marker 1 is 12\.0 mm from its node 2; the limit is 10\.0 mm"
     with pytest.raises(ShapeError, match=message):
         assign_markers(far, nodes)
-    assert assign_markers(far, nodes, max_distance_m=0.02).tolist() == [0, 2]

@@ -7,6 +7,7 @@ import numpy as np
 from pxr import Usd, UsdGeom, UsdPhysics
 from scipy.spatial import ConvexHull, QhullError
 from scipy.spatial.transform import Rotation
+from trimesh import Trimesh
 from trimesh.geometry import triangulate_quads
 
 from gauge_envs.formats.usd.driven import read_driven
@@ -307,12 +308,11 @@ def _vertices(
 
 
 def _volume_m3(mesh: UsdGeom.Mesh, points_m: FloatArray) -> float:
-    """Return the volume inside the faces of a mesh [m^3], by the tetrahedra of the triangles with the origin."""
+    """Return the volume inside the faces of a mesh [m^3]."""
     counts = mesh.GetFaceVertexCountsAttr().Get()
     indices = mesh.GetFaceVertexIndicesAttr().Get()
     faces = np.split(indices, np.cumsum(counts)[:-1])
-    triangles = points_m[triangulate_quads(faces)]
-    return abs(float(np.linalg.det(triangles).sum())) / 6.0
+    return abs(float(Trimesh(points_m, triangulate_quads(faces)).volume))
 
 
 # --- mass ------------------------------------------------------------------------------------------------------------

@@ -92,11 +92,6 @@ def motions_digest(text: str) -> str:
     return _hash(json.dumps(rounded).encode())
 
 
-def names_digest(pairs: set[frozenset[str]]) -> str:
-    """Return a short hash of pairs of names."""
-    return _hash(json.dumps(sorted(sorted(pair) for pair in pairs)).encode())
-
-
 def samples_digest(times_s: ArrayLike, poses: FloatArray) -> str:
     """Return a short hash of poses at times; both quaternions of a rotation have the same hash.
 

@@ -33,7 +33,6 @@ from gauge_envs.formats.usd.layer import (
     hinge_axis,
     hinge_frame,
     motions_digest,
-    names_digest,
     samples_digest,
 )
 from gauge_envs.formats.usd.target import Target, write, write_extent, write_friction
@@ -47,8 +46,6 @@ from gauge_envs.scene import (
     Markers,
     Motion,
     RigidBody,
-    Rod,
-    Rope,
     Scene,
     Shape,
     Sphere,
@@ -96,7 +93,7 @@ def scene_stage(scene: Scene, *, samples_per_frame: int = 1) -> Usd.Stage:
     stage = Usd.Stage.CreateInMemory("scene.usda")
     target = Target(stage, scene)
     last_frame = round(scene.duration_s * FRAME_RATE_HZ)
-    physics = _write_physics(target, last_frame)
+    _write_physics(target, last_frame)
     for index, contact in enumerate(scene.contacts):
         _write_contact(target, index, contact)
     for body in scene.bodies:
@@ -108,7 +105,7 @@ def scene_stage(scene: Scene, *, samples_per_frame: int = 1) -> Usd.Stage:
         _write_driver(target, index, driver, codes, times_s)
     for deformable in scene.deformables:
         write_deformable(target, deformable)
-    _write_pairs(target, physics)
+    _filter_pairs(target)
     for index, joint in enumerate(scene.joints):
         _write_joint(target, f"{target.group('Joints')}/joint_{index}", joint)
     for index, attachment in enumerate(scene.attachments):
@@ -118,7 +115,7 @@ def scene_stage(scene: Scene, *, samples_per_frame: int = 1) -> Usd.Stage:
     return stage
 
 
-def _write_physics(target: Target, last_frame: int) -> UsdPhysics.Scene:
+def _write_physics(target: Target, last_frame: int) -> None:
     """Write the units and rates of the stage, and the scene prim with gravity, air and duration."""
     stage, scene = target.stage, target.scene
     UsdGeom.SetStageMetersPerUnit(stage, 1.0)
@@ -138,7 +135,6 @@ def _write_physics(target: Target, last_frame: int) -> UsdPhysics.Scene:
         write(physics, f"gauge:air:{name}", value, AIR_KINDS.get(name, "double"))
     frames_s = last_frame / FRAME_RATE_HZ
     write(physics, "gauge:duration_s", scene.duration_s, written=frames_s)
-    return physics
 
 
 # --- contacts --------------------------------------------------------------------------------------------------------
@@ -172,8 +168,8 @@ def _write_contact(target: Target, index: int, contact: Contact) -> None:
     materials.SetTargets([material.GetPath(), *deformable])
 
 
-def _write_pairs(target: Target, physics: UsdPhysics.Scene) -> None:
-    """Filter all pairs without a contact, since UsdPhysics lets all collide, and write a hash of the contact pairs."""
+def _filter_pairs(target: Target) -> None:
+    """Filter all pairs without a contact, since UsdPhysics lets all collide."""
     scene = target.scene
     allowed = {
         frozenset(pair)
@@ -192,10 +188,6 @@ def _write_pairs(target: Target, physics: UsdPhysics.Scene) -> None:
             prim = target.stage.GetPrimAtPath(target.paths[name])
             api = UsdPhysics.FilteredPairsAPI.Apply(prim)
             api.CreateFilteredPairsRel().SetTargets(filtered)
-    # UsdPhysics does not know the colliders of ropes and rods.
-    lines = {body.name for body in scene.deformables if isinstance(body, Rope | Rod)}
-    known = {pair for pair in allowed if not pair & lines}
-    write(physics, "gauge:colliding_pairs", names_digest(known), "string")
 
 
 # --- rigid bodies ----------------------------------------------------------------------------------------------------

@@ -15,7 +15,7 @@ from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.observables.kinds import Observable
 from gauge_envs.references.band import Band, displacements
 from gauge_envs.scene.geometry import FloatArray, IntArray, length_of
-from gauge_envs.scene.timing import FRAME_RATE_HZ
+from gauge_envs.scene.timing import FRAME_RATE_HZ, frame_times_s
 from gauge_envs.scoring.metrics import MAX_TIME_OFFSET_S, time_offset
 from gauge_envs.scoring.user_file.likely_mistakes import start_values
 
@@ -108,7 +108,7 @@ def motion_fault(names: Sequence[str], unit: str, values: FloatArray) -> Fault |
         unit: Unit of the values.
         values: g(t) at the 30 Hz frames, shape [T, C]; NaN is not captured.
     """
-    times_s, whole = np.arange(len(values)) / FRAME_RATE_HZ, filled(values)
+    times_s, whole = frame_times_s(len(values)), filled(values)
     lost = lost_marker(names, unit, times_s, whole)
     return lost or next(impossible_path(names, unit, whole), None)
 

@@ -35,7 +35,7 @@ from gauge_envs.files import npz_arrays
 from gauge_envs.observables.kinds import Observable
 from gauge_envs.reading import faults_of, reading
 from gauge_envs.scene.geometry import FloatArray
-from gauge_envs.scene.timing import FRAME_RATE_HZ
+from gauge_envs.scene.timing import FRAME_RATE_HZ, frame_times_s
 from gauge_envs.scoring.metrics import frame_index, interpolated, nearest_sample
 from gauge_envs.scoring.reference import reference_band
 from gauge_envs.scoring.user_file.motion_checks import (
@@ -314,13 +314,13 @@ def _at_frames(
     from scipy.interpolate import make_interp_spline
 
     frame_count, observable = experiment.frame_count, experiment.score.observable
-    frames_s = np.arange(frame_count) / FRAME_RATE_HZ
+    frames_s = frame_times_s(frame_count)
     needed = (
         f"{frame_count} frames are needed, 30 a second from 0 to {frames_s[-1]:.4f} s"
     )
     if len(values) < 2:
         raise ValueError(f"{len(values)} rows; {needed}")
-    times_s = np.arange(len(values)) / FRAME_RATE_HZ if given_s is None else given_s
+    times_s = frame_times_s(len(values)) if given_s is None else given_s
     row = release_row(experiment, times_s, values) if markers_m is None else 0
     rest_s = float(times_s[row] - times_s[0])
     if row:

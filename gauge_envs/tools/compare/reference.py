@@ -13,7 +13,7 @@ from gauge_envs.references.kind import Kind
 from gauge_envs.rendering.reference_path import reference_words
 from gauge_envs.runs.result import RecordedTrajectory, Result, recorded_frames
 from gauge_envs.scene.geometry import FloatArray
-from gauge_envs.scene.timing import FRAME_RATE_HZ
+from gauge_envs.scene.timing import FRAME_RATE_HZ, frame_times_s
 from gauge_envs.scoring.interval import COVERAGE_FACTOR
 from gauge_envs.scoring.metrics import interpolated
 from gauge_envs.scoring.reference import reference_band
@@ -58,7 +58,7 @@ class Reference:
     @property
     def times_s(self) -> FloatArray:
         """Times of the frames [s], shape [frame_count]."""
-        return np.arange(len(self.band.mean)) / FRAME_RATE_HZ
+        return frame_times_s(len(self.band.mean))
 
     def lengths(self, values: FloatArray) -> FloatArray:
         """Return the Euclidean length of values at each frame, shape [frame_count]; NaN at unknown frames.
@@ -90,7 +90,7 @@ class Reference:
             markers_mm = recorded.markers_mm
             if markers_mm.shape[1] != width:
                 return nothing
-            return np.arange(len(markers_mm)) / FRAME_RATE_HZ, markers_mm
+            return frame_times_s(len(markers_mm)), markers_mm
         offset_s = result.score.time_offset_s
         if offset_s is None or not is_aligned(result):
             times_s, samples = recorded.arrays()

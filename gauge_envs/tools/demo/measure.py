@@ -13,7 +13,7 @@ from gauge_envs.runs.episodes import run_episode
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result import Result
 from gauge_envs.scene.geometry import FloatArray
-from gauge_envs.scene.timing import FRAME_RATE_HZ
+from gauge_envs.scene.timing import frame_times_s
 from gauge_envs.scoring.reference import reference_band
 from gauge_envs.tools.sanity import SanityResult, check
 
@@ -49,7 +49,7 @@ def real_drops() -> tuple[FloatArray, FloatArray]:
     """Return the frames of the real drops [s], shape [T], and their heights [mm], shape [trial_count, T]."""
     band = reference_band(load_experiment(BALL))
     assert band is not None and band.trials is not None
-    return np.arange(len(band.mean)) / FRAME_RATE_HZ, band.trials[:, :, 0]
+    return frame_times_s(len(band.mean)), band.trials[:, :, 0]
 
 
 def drop(**arguments: Any) -> Drop:
