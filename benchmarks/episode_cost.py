@@ -1,6 +1,6 @@
 """Processor time of an environment beside the time within MuJoCo's `mj_step`.
 
-`mj_step` is timed where the package calls it, in every second run, without the time of the timer. All other time, such as
+`mj_step` is timed where the package calls it, in every second run, without the timer's own time. All other time, such as
 driving and reading the bodies, is the package's.
 """
 
