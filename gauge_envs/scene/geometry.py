@@ -121,28 +121,22 @@ def unit_quaternions(quaternions: FloatArray) -> FloatArray:
 
 def vector_quaternions(vectors_rad: FloatArray) -> FloatArray:
     """Return the quaternions w, x, y, z of rotation vectors [rad], shape [count, 4]."""
-    angles = np.sqrt((vectors_rad * vectors_rad).sum(axis=1))
-    # For small angles, sin(angle / 2) / angle by its series.
-    scales = 0.5 - angles**2 / 48.0 + angles**4 / 3840.0
-    large = angles > 1e-3
-    scales[large] = np.sin(0.5 * angles[large]) / angles[large]
-    quaternions = np.empty((len(angles), 4))
-    quaternions[:, 0] = np.cos(0.5 * angles)
-    quaternions[:, 1:] = scales[:, None] * vectors_rad
-    return quaternions
+    angles = np.linalg.norm(vectors_rad, axis=1, keepdims=True)
+    # sin(angle / 2) / angle; NumPy's sinc is sin(pi x) / (pi x).
+    scales = 0.5 * np.sinc(0.5 * angles / np.pi)
+    return np.hstack([np.cos(0.5 * angles), scales * vectors_rad])
 
 
 def quaternion_vectors(quaternions: FloatArray) -> FloatArray:
     """Return the rotation vectors [rad] of at most half a turn of unit quaternions w, x, y, z, shape [count, 3]."""
     shorter = np.where(quaternions[:, :1] < 0.0, -quaternions, quaternions)
-    cosines, axes = shorter[:, 0], shorter[:, 1:]
-    sines = np.sqrt((axes * axes).sum(axis=1))
-    angles = 2.0 * np.arctan2(sines, cosines)
-    # For small angles, angle / sin(angle / 2) by its series.
-    scales = 2.0 + angles**2 / 12.0 + 7.0 * angles**4 / 2880.0
-    large = angles > 1e-3
-    scales[large] = angles[large] / np.sin(0.5 * angles[large])
-    return np.asarray(scales[:, None] * axes)
+    axes = shorter[:, 1:]
+    sines = np.linalg.norm(axes, axis=1, keepdims=True)
+    angles = 2.0 * np.arctan2(sines, shorter[:, :1])
+    # Without a turn, angle / sin(angle / 2) is 2.
+    limit = np.full_like(sines, 2.0)
+    scales = np.divide(angles, sines, out=limit, where=sines > 0.0)
+    return np.asarray(scales * axes)
 
 
 def rotation_matrices(quaternions: FloatArray) -> FloatArray:
