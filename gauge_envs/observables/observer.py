@@ -8,7 +8,6 @@ the default mesh, so its scores depend on the mesh.
 from collections.abc import Callable, Iterable, Sequence
 from enum import StrEnum
 from functools import lru_cache, partial
-from typing import Protocol
 
 import numpy as np
 
@@ -35,22 +34,6 @@ class MarkerProxy(StrEnum):
     """The nearest node, each used once (Hungarian algorithm), as in the paper."""
 
 
-class Observer(Protocol):
-    """Observer of one kind of generalized trajectory in N worlds.
-
-    It reads a simulation at each sample, and computes the observed points of many samples in one pass.
-    """
-
-    def read(self, simulation: Simulation) -> FloatArray:
-        """Return what gives the points now [m], shape [N, count, 3]; the next interval may overwrite it."""
-
-    def points(self, read_m: FloatArray) -> FloatArray:
-        """Return the bodies or markers [m], shape [..., point_count, 3], from readings of shape [..., count, 3]."""
-
-    def observe(self, points_m: FloatArray) -> FloatArray:
-        """Return g(t) of points [m], shape [..., width]."""
-
-
 class ObserverPositions:
     """Observer of the positions of rigid bodies [mm]."""
 
@@ -58,7 +41,7 @@ class ObserverPositions:
         self._names = tuple(names)
 
     def read(self, simulation: Simulation) -> FloatArray:
-        """Return the positions of the bodies now [m]."""
+        """Return the positions of the bodies now [m], shape [N, count, 3]; the next interval may overwrite them."""
         return simulation.body_positions(self._names)
 
     def points(self, read_m: FloatArray) -> FloatArray:
@@ -139,6 +122,13 @@ class ObserverMarkers:
         """Return g(t) of markers [m], shape [..., width]."""
         g = self._formula(points_m.reshape(-1, self.marker_count, 3))
         return g.reshape(*points_m.shape[:-2], -1)
+
+
+Observer = ObserverPositions | ObserverMarkers
+"""Observer of one kind of generalized trajectory in N worlds.
+
+It reads a simulation at each sample, and computes the observed points of many samples in one pass: `points` returns the
+bodies or markers [m] of what `read` returned, and `observe` their g(t), shape [..., width]."""
 
 
 def _tracker(
