@@ -30,8 +30,9 @@ from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
 from gauge_envs.errors import MissingExtraError
-from gauge_envs.tools.control.env import ControlEnv, Ending, LimitReport, Policy, play_paid
+from gauge_envs.tools.control.env import ControlEnv, Policy, play_paid
 from gauge_envs.tools.control.friction import SLIP_SPEED_M_PER_S, FrictionLimit
+from gauge_envs.tools.control.task import Ending, LimitReport
 
 SEED = 0
 

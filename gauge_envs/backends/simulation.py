@@ -25,6 +25,25 @@ MaterialPoints = Callable[[], FloatArray]
 """Reader of material points [m], which returns an array of shape [world_count, point_count, 3]."""
 
 
+class Sampler:
+    """Readings of a simulation at several times, in the rows of an array.
+
+    Args:
+        read: Function that reads all worlds, shape [N, ...].
+        rows: Array for the readings, shape [count, N, ...].
+    """
+
+    def __init__(self, read: Callable[[], FloatArray], rows: FloatArray) -> None:
+        self._read, self._rows = read, rows
+
+    def read(self, index: int) -> None:
+        """Read all worlds now, for a row."""
+        self._rows[index] = self._read()
+
+    def finish(self) -> None:
+        """Complete the velocities of states after the last reading."""
+
+
 class Simulation(ABC):
     """Worlds of one scene that advance together.
 
@@ -102,9 +121,14 @@ class Simulation(ABC):
             names: Names of rigid bodies; fixed and driven bodies are allowed.
         """
 
-    def body_positions(self, names: Sequence[str]) -> FloatArray:
-        """Return the current positions of rigid bodies [m], shape [N, len(names), 3]; `advance` may overwrite them."""
-        return self.body_states(names)[:, :, :3]
+    def sampler(self, names: Sequence[str], rows: FloatArray) -> Sampler:
+        """Return a sampler of states, which environments read after each interval of a frame.
+
+        Args:
+            names: Names of rigid bodies.
+            rows: Array for their states, shape [count, N, len(names), 13].
+        """
+        return Sampler(lambda: self.body_states(names), rows)
 
     def nodes(self, name: str) -> FloatArray:
         """Return the nodes of a deformable body [m], shape [N, node_count, 3]."""

@@ -182,7 +182,7 @@ def checked_action(action: Any, space: spaces.Space[Any], name: str) -> FloatArr
             f"{name}: action has shape {numbers.shape}, expected {shape}, as {np.zeros(shape).tolist()}"
         )
     # A comparison with NaN is false.
-    if not np.abs(numbers).max() <= 1.0:
+    if not all(-1.0 <= number <= 1.0 for number in numbers.ravel().tolist()):
         raise ActionError(
             f"{name}: action {numbers.tolist()} is out of range: give numbers from -1 to 1"
         )

@@ -61,9 +61,10 @@ class EpisodeRecording:
     ) -> None:
         scene, observable = experiment.scene, experiment.score.observable
         self._simulation = simulation
-        self._dynamic = [body.name for body in scene.dynamic_bodies]
-        self._driven = [driver.body for driver in scene.drivers]
-        self._recorded = [self._dynamic.index(name) for name in experiment.recorded]
+        dynamic = [body.name for body in scene.dynamic_bodies]
+        self._dynamic_count = len(dynamic)
+        self._bodies_read = [*dynamic, *(driver.body for driver in scene.drivers)]
+        self._recorded = [dynamic.index(name) for name in experiment.recorded]
         self._observer: Observer
         if observable is Observable.POSITION:
             self._observer = ObserverPositions(experiment.recorded)
@@ -71,9 +72,10 @@ class EpisodeRecording:
             self._observer = ObserverMarkers(
                 scene, observable, simulation, marker_proxy
             )
-        read_m = self._observer.read(simulation)
-        self._read_m = np.empty((SAMPLES_PER_FRAME, *read_m.shape))
-        point_shape = self._observer.points(read_m).shape[1:]
+        reading = self._observer.read(simulation)
+        self._readings = np.empty((SAMPLES_PER_FRAME, *reading.shape))
+        self._sampler = self._observer.sampler(simulation, self._readings)
+        point_shape = self._observer.points(reading).shape[1:]
         rows = (experiment.frame_count, simulation.world_count)
         # A frame has the samples of its six intervals; frame 0 has only its start, as the last.
         self._points_m = np.full((*rows, SAMPLES_PER_FRAME, *point_shape), np.nan)
@@ -90,7 +92,7 @@ class EpisodeRecording:
 
     def read_points(self, interval: int) -> None:
         """Read the observed points after an interval of a frame, from 0 to 5."""
-        self._read_m[interval] = self._observer.read(self._simulation)
+        self._sampler.read(interval)
 
     def end_frame(self, is_running: BoolArray) -> FloatArray:
         """Record the current frame of worlds after its six intervals.
@@ -101,25 +103,26 @@ class EpisodeRecording:
         Returns:
             States of the dynamic bodies, shape [N, body_count, 13].
         """
-        points_m = self._observer.points(self._read_m)
+        points_m = self._observer.points(self._readings)
         place, chosen = self._place(is_running)
         self._points_m[place] = points_m.swapaxes(0, 1)[chosen]
         return self._record(place, chosen, points_m[-1])
 
     def _record(self, place: Any, chosen: Any, points_m: FloatArray) -> FloatArray:
         """Record the frame of worlds, and return the states of all dynamic bodies, shape [N, body_count, 13]."""
-        states = self._simulation.body_states(self._dynamic)
+        states = self._simulation.body_states(self._bodies_read)
         bodies = states.take(self._recorded, axis=1)
         self._bodies[place] = bodies[chosen]
         g = self._observer.observe(points_m)
         last = {"observable": g, "bodies": bodies, "markers": points_m.copy()}
-        if self._driven:
-            last["driver"] = self._simulation.body_states(self._driven)
+        driven = states[:, self._dynamic_count :]
+        if driven.size:
+            last["driver"] = driven
         if self._last and isinstance(chosen, np.ndarray):
             for name, rows in last.items():
                 rows[~chosen] = self._last[name][~chosen]
         self._last = last
-        return states
+        return states[:, : self._dynamic_count]
 
     def _place(self, chosen: BoolArray) -> tuple[Any, Any]:
         """Return the index of the frames of worlds in a history of shape [frame_count, N, ...], and of their rows."""
@@ -135,8 +138,10 @@ class EpisodeRecording:
     def observation(self) -> Observation:
         """Return the observations of all worlds in new arrays; a world that has ended keeps its last observation."""
         seen = "bodies" if self._recorded else "markers"
-        names = ("observable", seen, "driver") if self._driven else ("observable", seen)
-        observation = {name: self._last[name].copy() for name in names}
+        names = {"observable", seen, "driver"}
+        observation = {
+            name: rows.copy() for name, rows in self._last.items() if name in names
+        }
         observation["time"] = self._frames[:, None] / FRAME_RATE_HZ
         return observation
 

@@ -1,4 +1,4 @@
-"""Episodes of one experiment in N worlds, and the only loop over time, `intervals`.
+"""Episodes of one experiment in N worlds, and the only loop over time, `simulate`.
 
 A step drives, advances and observes the worlds six times, and then checks for divergence. Control tasks use the same
 rollout with their own motions and recording; engine checks and sanity checks use the same loop.
@@ -6,7 +6,7 @@ rollout with their own motions and recording; engine checks and sanity checks us
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any, Protocol
 
@@ -65,16 +65,21 @@ class Recording(Protocol):
         """Record a frame, and return the states of the dynamic bodies, shape [N, body_count, 13], if it read them."""
 
 
-def intervals(
+AfterInterval = Callable[[int], None]
+"""Function that receives the index of each interval after it."""
+
+
+def simulate(
     simulation: Simulation,
     motions: Sequence[DrivenMotion],
     first: int | IntArray,
     count: int,
     actions: Sequence[FloatArray],
     *,
+    observers: Sequence[AfterInterval] = (),
     interval_s: float = SAMPLE_INTERVAL_S,
-) -> Iterator[int]:
-    """Drive and advance all worlds, and yield the index of each interval after it.
+) -> None:
+    """Drive and advance all worlds in intervals.
 
     Args:
         simulation: The worlds.
@@ -82,6 +87,7 @@ def intervals(
         first: Number of the first interval since the start, or the number in each world, shape [N].
         count: Number of intervals.
         actions: Actions of each motion in all of these intervals, shape [N, motion_count].
+        observers: Functions that are called after each interval.
         interval_s: Length of an interval [s].
     """
     drives = [
@@ -92,7 +98,8 @@ def intervals(
         for drive in drives:
             drive(index)
         simulation.advance(interval_s)
-        yield index
+        for observe in observers:
+            observe(index)
 
 
 MAX_NORM_ERROR = 1e-3
@@ -242,17 +249,15 @@ class Rollout:
         self.terminated[worlds] = self.is_over[worlds] = False
         self._recorder.start(worlds)
 
-    def step(self, actions: FloatArray | None = None) -> None:
+    def step(
+        self, actions: FloatArray | None = None, observers: Sequence[AfterInterval] = ()
+    ) -> None:
         """Simulate one frame of all worlds.
 
         Args:
             actions: Actions from -1 to 1, shape [N, motion_count]; None is no action.
+            observers: Functions that are called after each of the six intervals.
         """
-        for _ in self.substeps(actions):
-            pass
-
-    def substeps(self, actions: FloatArray | None = None) -> Iterator[int]:
-        """Simulate one frame of all worlds, and yield after each of its six intervals; see `step`."""
         assert self.has_begun, "call reset first"
         if actions is None:
             actions = np.zeros((self.world_count, self.motion_count))
@@ -261,12 +266,14 @@ class Rollout:
         for motion in self._motions:
             begin, end = end, end + motion.motion_count
             motion_actions.append(actions[:, begin:end])
-        first = self.frames * SAMPLES_PER_FRAME
-        for index in intervals(
-            self.simulation, self._motions, first, SAMPLES_PER_FRAME, motion_actions
-        ):
-            self._recorder.read_points(index)
-            yield index
+        simulate(
+            self.simulation,
+            self._motions,
+            self.frames * SAMPLES_PER_FRAME,
+            SAMPLES_PER_FRAME,
+            motion_actions,
+            observers=[self._recorder.read_points, *observers],
+        )
         self.is_running = ~self.is_over
         self.frames += self.is_running
         states = self._recorder.end_frame(self.is_running)
@@ -276,15 +283,14 @@ class Rollout:
                 self.terminated[world] = True
         self.is_over = self.terminated | (self.frames == self._last_frame)
 
-    def play(self, observe: Callable[[int], None] = lambda _: None) -> None:
+    def play(self, *observers: AfterInterval) -> None:
         """Simulate all episodes to their end without actions.
 
         Args:
-            observe: Receives the number of each interval of a frame after it.
+            *observers: Functions that are called after each interval of a frame.
         """
         while not self.is_over.all():
-            for sample in self.substeps():
-                observe(sample)
+            self.step(observers=observers)
 
     def divergences(self, states: FloatArray | None = None) -> dict[int, str]:
         """Return the reason of each world that has diverged by now, the engine's reason first.

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from enum import StrEnum
+from functools import cached_property
 
 
 class Collection(StrEnum):
@@ -28,7 +29,7 @@ class Variant:
             part for part in (self.family, self.subtask, self.material) if part
         )
 
-    @property
+    @cached_property
     def id(self) -> str:
         """Gymnasium id, as `GAUGE/SlopeSlider-2-wood`."""
         return f"GAUGE/{self.name}"

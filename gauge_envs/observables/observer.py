@@ -11,7 +11,7 @@ from functools import lru_cache, partial
 
 import numpy as np
 
-from gauge_envs.backends.simulation import Simulation
+from gauge_envs.backends.simulation import Sampler, Simulation
 from gauge_envs.errors import ShapeError
 from gauge_envs.observables.functions import (
     MAX_MARKER_DISTANCE_M,
@@ -41,12 +41,16 @@ class ObserverPositions:
         self._names = tuple(names)
 
     def read(self, simulation: Simulation) -> FloatArray:
-        """Return the positions of the bodies now [m], shape [N, count, 3]; the next interval may overwrite them."""
-        return simulation.body_positions(self._names)
+        """Return the states of the bodies now, shape [N, count, 13]."""
+        return simulation.body_states(self._names)
 
-    def points(self, read_m: FloatArray) -> FloatArray:
-        """Return the positions themselves."""
-        return read_m
+    def sampler(self, simulation: Simulation, rows: FloatArray) -> Sampler:
+        """Return a sampler of these states."""
+        return simulation.sampler(self._names, rows)
+
+    def points(self, readings: FloatArray) -> FloatArray:
+        """Return the positions of states."""
+        return readings[..., :3]
 
     def observe(self, points_m: FloatArray) -> FloatArray:
         """Return the positions [mm], shape [..., width]."""
@@ -107,15 +111,19 @@ class ObserverMarkers:
         parts = [simulation.nodes(name) for name in self._bodies]
         return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)
 
-    def points(self, read_m: FloatArray) -> FloatArray:
+    def sampler(self, simulation: Simulation, rows: FloatArray) -> Sampler:
+        """Return a sampler of these markers or nodes."""
+        return Sampler(partial(self.read, simulation), rows)
+
+    def points(self, readings: FloatArray) -> FloatArray:
         """Return the markers [m]: those read, or the weighted nodes of each."""
         if self._track is not None:
-            return read_m
-        markers_m = np.zeros((*read_m.shape[:-2], self.marker_count, 3))
+            return readings
+        markers_m = np.zeros((*readings.shape[:-2], self.marker_count, 3))
         # Cloth has three nodes for each marker, and a fourth without weight.
         for column in self._columns:
             weights = self.weights[:, column, None]
-            markers_m += weights * read_m.take(self.indices[:, column], axis=-2)
+            markers_m += weights * readings.take(self.indices[:, column], axis=-2)
         return markers_m
 
     def observe(self, points_m: FloatArray) -> FloatArray:
@@ -127,8 +135,8 @@ class ObserverMarkers:
 Observer = ObserverPositions | ObserverMarkers
 """Observer of one kind of generalized trajectory in N worlds.
 
-It reads a simulation at each sample, and computes the observed points of many samples in one pass: `points` returns the
-bodies or markers [m] of what `read` returned, and `observe` their g(t), shape [..., width]."""
+It reads a simulation at each sample, and computes the observed points of many samples in one pass. `points` returns the
+bodies or markers [m] of readings of shape [..., count, width], and `observe` returns their g(t)."""
 
 
 def _tracker(

@@ -130,13 +130,11 @@ def vector_quaternions(vectors_rad: FloatArray) -> FloatArray:
 def quaternion_vectors(quaternions: FloatArray) -> FloatArray:
     """Return the rotation vectors [rad] of at most half a turn of unit quaternions w, x, y, z, shape [count, 3]."""
     shorter = np.where(quaternions[:, :1] < 0.0, -quaternions, quaternions)
-    axes = shorter[:, 1:]
-    sines = np.linalg.norm(axes, axis=1, keepdims=True)
-    angles = 2.0 * np.arctan2(sines, shorter[:, :1])
-    # Without a turn, angle / sin(angle / 2) is 2.
-    limit = np.full_like(sines, 2.0)
-    scales = np.divide(angles, sines, out=limit, where=sines > 0.0)
-    return np.asarray(scales * axes)
+    cosines, axes = shorter[:, 0], shorter[:, 1:]
+    sines = np.sqrt((axes * axes).sum(axis=1))
+    # Without a rotation, the axis is 0.
+    scales = 2.0 * np.arctan2(sines, cosines) / np.maximum(sines, 1e-300)
+    return np.asarray(scales[:, None] * axes)
 
 
 def rotation_matrices(quaternions: FloatArray) -> FloatArray:

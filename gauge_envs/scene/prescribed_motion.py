@@ -98,7 +98,7 @@ class PrescribedMotion:
             )
             for world in self._columns
         ]
-        self._targets, self._values, self._rates = (
+        self._targets, self._coordinates = (
             np.stack(arrays, axis=1) for arrays in zip(*recorded, strict=True)
         )
 
@@ -123,14 +123,24 @@ class PrescribedMotion:
             numbers = np.minimum(samples[:-1], self._count - 1)
             recorded = self._targets[numbers, self._columns]
             return np.broadcast_to(recorded, (count, len(rates), 19))
-        part = np.minimum(samples, self._count), self._columns
-        offsets = self._offsets + self._times_s[: count + 1] * rates
+        added = np.empty((count + 1, len(rates), 2 * self.motion_count))
+        offsets, added[..., self.motion_count :] = (
+            added[..., : self.motion_count],
+            rates,
+        )
+        np.add(self._offsets, self._times_s[: count + 1] * rates, out=offsets)
         self._offsets = offsets[-1]
-        values, part_rates = self._values[part] + offsets, self._rates[part] + rates
+        numbers = np.minimum(samples, self._count)
+        coordinates = self._coordinates[numbers, self._columns] + added
         if self._simple is not None:
-            return self._simple.targets(values, part_rates)[0]
+            return self._simple.targets(coordinates)[0]
+        values, part_rates = np.split(coordinates, 2, axis=-1)
         states = _states(self._drivers, self._start, values, part_rates)
         return uniformly_accelerated(states, self._interval_s)
+
+
+WHOLE_AND_HALF = np.array([1.0, 0.5])
+"""Factors of an angle for its position and for its quaternion."""
 
 
 class SimpleTargets:
@@ -150,29 +160,30 @@ class SimpleTargets:
     ) -> None:
         count, motion = len(driver.motions), driver.motions[0]
         self._turns = motion.kind == "rotate"
-        values, gains = np.zeros((2, 8 if self._turns else 2 * count, 19))
-        means, accelerations = gains[:, 7:13], gains[:, 13:]
-        axes, rates = (
-            np.array([each.axis for each in driver.motions]),
-            slice(count, None),
-        )
-        self._constant = np.zeros(19)
-        self._constant[:7] = start
+        poses = np.zeros((8 if self._turns else 2 * count, 7))
+        means, accelerations = np.zeros((2, len(poses), 6))
+        axes = np.array([each.axis for each in driver.motions])
+        self._start = start.copy()
         if self._turns:
             across = (start[:3] - motion.point_m) @ motion.cross_product
-            axes = np.array([-across @ motion.cross_product, across])
-            count, rates = 2, slice(4, 6)
-            values[2, 3:7] = start[3:]
-            values[3, 3:7] = start[3:] @ motion.quaternion_product
-            means[7, 3:] = np.array(motion.axis) / interval_s
-            accelerations[6, 3:] = means[7, 3:]
-            self._constant[:7] = 0.0
-            self._constant[:3] = start[:3] - axes[0]
-        values[:count, :3] = axes
-        means[:count, :3] = accelerations[rates, :3] = axes / interval_s
+            arm = -across @ motion.cross_product
+            self._start[:3] -= arm
+            self._start[3:] = 0.0
+            poses[0, :3], poses[2, :3] = arm, across
+            poses[1, 3:], poses[3, 3:] = (
+                start[3:],
+                start[3:] @ motion.quaternion_product,
+            )
+            accelerations[4, :3], accelerations[5, :3] = -arm, across
+            means[6, 3:] = accelerations[7, 3:] = axes
+        else:
+            poses[:count, :3] = accelerations[count:, :3] = axes
+        means[:, :3] += poses[:, :3]
         # The mean velocity of the interval minus half of its gain is the velocity at its start.
+        means /= interval_s
+        accelerations /= interval_s
         means -= 0.5 * interval_s * accelerations
-        self._values, self._gains = values, gains
+        self._poses, self._gains = poses, np.hstack([means, accelerations])
 
     @staticmethod
     def fit(driver: Driver) -> bool:
@@ -180,30 +191,36 @@ class SimpleTargets:
         kinds = [motion.kind for motion in driver.motions]
         return kinds == ["rotate"] or "rotate" not in kinds
 
-    def targets(
-        self, values: FloatArray, rates: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
+    def targets(self, coordinates: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the targets of intervals, shape [S - 1, N, 19], and the poses at their ends, shape [S, N, 7].
 
         Args:
-            values: Coordinates at the ends of the intervals [m or rad], shape [S, N, M].
-            rates: Their rates, of the same shape.
+            coordinates: Coordinates at the ends of the intervals [m or rad], then their rates, shape [S, N, 2 M].
         """
-        functions = self._functions(values, rates)
+        functions = self._functions(coordinates) if self._turns else coordinates
         # Bits of a product by BLAS would depend on the number of worlds.
         product = partial(np.einsum, "snf,fk->snk")
-        states = product(functions, self._values) + self._constant
-        gains = product(functions[1:] - functions[:-1], self._gains)
-        return states[:-1] + gains, states[..., :7]
+        poses = product(functions, self._poses)
+        poses += self._start
+        targets = np.empty((len(poses) - 1, poses.shape[1], 19))
+        targets[..., :7] = poses[:-1]
+        gains = functions[1:] - functions[:-1]
+        product(gains, self._gains, out=targets[..., 7:])
+        return targets, poses
 
-    def _functions(self, values: FloatArray, rates: FloatArray) -> FloatArray:
-        """Return the functions of the coordinates, shape [S, N, function_count]."""
-        if not self._turns:
-            return np.concatenate([values, rates], axis=-1)
-        cosines, sines = np.cos(values), np.sin(values)
-        halves = np.cos(0.5 * values), np.sin(0.5 * values)
-        parts = cosines, sines, *halves, -rates * sines, rates * cosines, rates, values
-        return np.concatenate(parts, axis=-1)
+    def _functions(self, coordinates: FloatArray) -> FloatArray:
+        """Return the functions of an angle and its rate, shape [S, N, 8].
+
+        They are the cosines and sines of the angle and its half, the rate times sine and cosine, angle and rate.
+        """
+        functions = np.empty((*coordinates.shape[:-1], 8))
+        angles = coordinates[..., :1] * WHOLE_AND_HALF
+        np.cos(angles, out=functions[..., :2])
+        np.sin(angles, out=functions[..., 2:4])
+        sine_and_cosine = functions[..., 2::-2]
+        np.multiply(sine_and_cosine, coordinates[..., 1:], out=functions[..., 4:6])
+        functions[..., 6:] = coordinates
+        return functions
 
 
 def prescribed_motions(
@@ -238,18 +255,19 @@ def prescribed_motions(
 @lru_cache(maxsize=64)
 def _recorded(
     driver: Driver, start: bytes, count: int, interval_s: float
-) -> tuple[FloatArray, FloatArray, FloatArray]:
+) -> tuple[FloatArray, FloatArray]:
     """Return the motion without actions in one world.
 
     Returns:
-        Targets of the intervals, shape [count, 19]; coordinates [m or rad] and their rates at the ends of the
-        intervals, shape [count + 1, M] each.
+        Targets of the intervals, shape [count, 19]; coordinates [m or rad] at the ends of the intervals, then their
+        rates, shape [count + 1, 2 M].
     """
     times_s = interval_s * np.arange(count + 1, dtype=np.float64)
     values, rates = recorded_coordinates(driver.motions, times_s)
     start_poses = np.frombuffer(start).reshape(1, 7)
     states = _states([driver], start_poses, values[:, None], rates[:, None])
-    return uniformly_accelerated(states, interval_s)[:, 0], values, rates
+    targets = uniformly_accelerated(states, interval_s)[:, 0]
+    return targets, np.hstack([values, rates])
 
 
 def _states(

@@ -17,7 +17,7 @@ from gauge_envs import Jitter, load_experiment
 from gauge_envs.backends import backend_names
 from gauge_envs.backends.registry import backend_class
 from gauge_envs.backends.shared import bundled
-from gauge_envs.envs.rollout import intervals
+from gauge_envs.envs.rollout import simulate
 from gauge_envs.errors import MissingExtraError
 from gauge_envs.fixtures.parts import driven_box
 from gauge_envs.registry import is_installed
@@ -49,8 +49,13 @@ def course(simulation, scene, count):
     worlds = simulation.world_count
     motions = prescribed_motions(scene, 1.0, world_count=worlds)
     actions = [np.zeros((worlds, motion.motion_count)) for motion in motions]
-    steps = intervals(simulation, motions, 0, count, actions)
-    return np.array([everything(simulation, scene) for _ in steps])
+    states = []
+
+    def observe(_):
+        states.append(everything(simulation, scene))
+
+    simulate(simulation, motions, 0, count, actions, observers=[observe])
+    return np.array(states)
 
 
 # --- resets and worlds -----------------------------------------------------------------------------------------------

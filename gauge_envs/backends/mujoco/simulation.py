@@ -28,7 +28,7 @@ from gauge_envs.backends.shared.rigid import (
     hinge_angle,
     placed_states,
 )
-from gauge_envs.backends.simulation import ContactForces, MaterialPoints
+from gauge_envs.backends.simulation import ContactForces, MaterialPoints, Sampler
 from gauge_envs.processors import processor_count
 from gauge_envs.scene import Hinge, Motion, Pose, RigidBody, Scene
 from gauge_envs.scene.geometry import BoolArray, FloatArray, unit_quaternions
@@ -112,7 +112,6 @@ class SimulationMuJoCo(PlacedSimulation):
         self._options = model.opt
         self._warnings = [data.warning.number for data in self.datas]
         self._driven: dict[str, _DrivenBody] = {}
-        self._places: dict[tuple[str, ...], list[FloatArray]] = {}
         self._thread_count = min(processor_count(), world_count)
         self._threads = None
         if self._thread_count > 1:
@@ -208,10 +207,11 @@ class SimulationMuJoCo(PlacedSimulation):
 
     def _step_all(self, count: int) -> None:
         """Step all worlds in threads, of which this thread is the first."""
-        steps = []
-        if self._threads is not None:
-            others = range(1, self._thread_count)
-            steps = [self._threads.submit(self._step_worlds, n, count) for n in others]
+        if self._threads is None:
+            self._step_worlds(0, count)
+            return
+        others = range(1, self._thread_count)
+        steps = [self._threads.submit(self._step_worlds, n, count) for n in others]
         self._step_worlds(0, count)
         for step in steps:
             step.result()
@@ -254,22 +254,13 @@ class SimulationMuJoCo(PlacedSimulation):
             self._moving[name].read(states[:, row])
         return states
 
-    def body_positions(self, names: Sequence[str]) -> FloatArray:
-        """Return the positions of bodies [m], shape [N, len(names), 3]."""
-        key = tuple(names)
-        places = self._places.get(key)
-        if places is None:
-            bodies = [self._moving.get(name) for name in key]
-            free = [body.places for body in bodies if isinstance(body, _FreeBody)]
-            places = [place for places in zip(*free, strict=True) for place in places]
-            if len(free) < len(bodies):
-                places = []
-            self._places[key] = places
-        if not places:
-            return super().body_positions(names)
-        # A view of one body in one world needs no copy.
-        both = places[0] if len(places) == 1 else np.concatenate(places)
-        return both.reshape(self.world_count, -1, 3)
+    def sampler(self, names: Sequence[str], rows: FloatArray) -> Sampler:
+        """Return a sampler that copies the coordinates of free bodies."""
+        bodies = [self._moving.get(name) for name in names]
+        free = [body for body in bodies if isinstance(body, _FreeBody)]
+        if len(free) == len(bodies):
+            return _FreeSampler(free, rows)
+        return super().sampler(names, rows)
 
     def nodes(self, name: str) -> FloatArray:
         """Return the nodes of a deformable body [m], shape [1, node_count, 3]."""
@@ -339,25 +330,25 @@ class _FreeBody:
     """Views of MuJoCo's arrays with the states of a body on a free joint in all worlds.
 
     Attributes:
-        places: Its position in each world [m], shape [3] each.
+        poses: Its position and quaternion w x y z in each world, shape [7] each.
+        rates: Its velocity, and its angular velocity in its own frame, shape [6] each.
     """
 
     def __init__(
         self, model: mujoco.MjModel, datas: Sequence[mujoco.MjData], name: str
     ) -> None:
         views = [free_joint_views(model, data, name) for data in datas]
-        self.places = [pose[:3] for pose, _ in views]
-        self._poses = [pose for pose, _ in views]
+        self.poses = [pose for pose, _ in views]
         self._quaternions = [pose[3:] for pose, _ in views]
-        self._rates = [rate for _, rate in views]
+        self.rates = [rate for _, rate in views]
         self._spins = [rate[3:] for _, rate in views]
 
     def write(self, world: int, state: FloatArray) -> None:
         """Write an initial state of a world, shape [13]."""
         quaternion = unit_quaternions(state[3:7])
-        self.places[world][:] = state[:3]
+        self.poses[world][:3] = state[:3]
         self._quaternions[world][:] = quaternion
-        self._rates[world][:3] = state[7:10]
+        self.rates[world][:3] = state[7:10]
         # MuJoCo keeps a free joint's angular velocity in the body frame.
         back = CONJUGATE * quaternion
         mujoco.mju_rotVecQuat(self._spins[world], state[10:], back)
@@ -366,12 +357,44 @@ class _FreeBody:
         """Write the states of the body to an array, shape [N, 13]."""
         # For one world, the calls of NumPy would take longer than the copy.
         if len(states) == 1:
-            states[0, :7], states[0, 7:10] = self._poses[0], self._rates[0][:3]
+            states[0, :7], states[0, 7:10] = self.poses[0], self.rates[0][:3]
         else:
-            states[:, :7] = np.concatenate(self._poses).reshape(-1, 7)
-            states[:, 7:10] = np.concatenate(self._rates).reshape(-1, 6)[:, :3]
+            states[:, :7] = np.concatenate(self.poses).reshape(-1, 7)
+            states[:, 7:10] = np.concatenate(self.rates).reshape(-1, 6)[:, :3]
         rows = zip(states[:, 10:], self._spins, self._quaternions, strict=True)
         for spin, inner, quaternion in rows:
+            mujoco.mju_rotVecQuat(spin, inner, quaternion)
+
+
+class _FreeSampler(Sampler):
+    """Sampler that copies MuJoCo's coordinates at each time.
+
+    Args:
+        bodies: Bodies on free joints.
+        rows: Array for their states, shape [count, N, len(bodies), 13].
+    """
+
+    def __init__(self, bodies: Sequence[_FreeBody], rows: FloatArray) -> None:
+        rates = np.empty((*rows.shape[:-1], 6))
+        self._velocities, self._linear = rows[..., 7:10], rates[..., :3]
+        self._turns = []
+        self._copies: list[list[tuple[FloatArray, FloatArray]]] = [[] for _ in rows]
+        for place in np.ndindex(rows.shape[:-1]):
+            index, world, number = place
+            state, rate, body = rows[place], rates[place], bodies[number]
+            self._copies[index].append((state[:7], body.poses[world]))
+            self._copies[index].append((rate, body.rates[world]))
+            self._turns.append((state[10:], rate[3:], state[3:7]))
+
+    def read(self, index: int) -> None:
+        """Copy the coordinates of all worlds for a row."""
+        for row, coordinates in self._copies[index]:
+            row[:] = coordinates
+
+    def finish(self) -> None:
+        """Copy the velocities, and turn the spins into the frame of the world."""
+        self._velocities[:] = self._linear
+        for spin, inner, quaternion in self._turns:
             mujoco.mju_rotVecQuat(spin, inner, quaternion)
 
 
@@ -390,7 +413,7 @@ class _DrivenBody(_FreeBody):
         super().__init__(model, datas, name)
         index = model.body(name).id
         forces = [data.xfrc_applied[index] for data in datas]
-        self._views = self._poses, self._rates, forces
+        self._views = self.poses, self.rates, forces
         self._mass_kg = model.body_mass[index : index + 1]
 
     def prepared(self, targets: FloatArray) -> Callable[[int], None]:
@@ -408,15 +431,18 @@ class _DrivenBody(_FreeBody):
             )
             for inner, spin, quaternion in turned:
                 mujoco.mju_rotVecQuat(inner, spin, quaternion)
-        poses = targets[..., :7]
         # The mass and all moments of inertia of a driven body are the same number.
         forces = self._mass_kg * targets[..., 13:]
+        given = zip(self._views, (targets[..., :7], rates, forces), strict=True)
+        writes = [
+            (view, rows[:, world])
+            for views, rows in given
+            for world, view in enumerate(views)
+        ]
 
         def write(interval: int) -> None:
-            given = poses[interval], rates[interval], forces[interval]
-            for views, rows in zip(self._views, given, strict=True):
-                for view, row in zip(views, rows, strict=True):
-                    view[:] = row
+            for view, rows in writes:
+                view[:] = rows[interval]
             for grip in self.grips:
                 grip.follow()
 

@@ -8,7 +8,6 @@ if TYPE_CHECKING:
     from gauge_envs.tools.control.env import (
         ControlEnv as ControlEnv,
         ControlVectorEnv as ControlVectorEnv,
-        LimitReport as LimitReport,
         Policy as Policy,
         play_paid as play_paid,
     )
@@ -17,19 +16,15 @@ if TYPE_CHECKING:
         names as names,
         summary as summary,
     )
+    from gauge_envs.tools.control.task import LimitReport as LimitReport
     from gauge_envs.tools.control.trained import stored_policy as stored_policy
 else:
     __getattr__, __all__ = lazy_names(
         __name__,
         {
-            ".env": [
-                "ControlEnv",
-                "ControlVectorEnv",
-                "LimitReport",
-                "Policy",
-                "play_paid",
-            ],
+            ".env": ["ControlEnv", "ControlVectorEnv", "Policy", "play_paid"],
             ".ids": ["document", "names", "summary"],
+            ".task": ["LimitReport"],
             ".trained": ["stored_policy"],
         },
     )

@@ -2,16 +2,23 @@
 
 import math
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 
+from gauge_envs.backends.simulation import Sampler
 from gauge_envs.observables.observer import material_points
 from gauge_envs.scene import Cloth, Scene
 from gauge_envs.scene.geometry import FloatArray, IntArray
 from gauge_envs.scene.profiles import CosineProfile
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
-from gauge_envs.tools.control.env import ControlTask, Ending, Limit
 from gauge_envs.tools.control.stage import FRAME_S, Stage
+from gauge_envs.tools.control.task import (
+    ControlTask,
+    Ending,
+    FrameSamples,
+    Limit,
+)
 
 SPEED_SIGMA = 0.05 / 0.67
 """Relative uncertainty of the rod's speed in the recording (0.67 +- 0.05 m/s, tasks/textile_flinging.toml)."""
@@ -94,8 +101,16 @@ class FlingLimit(ControlTask):
         rest_m = self.simulation.nodes(cloth.name)[0].copy()
         self._weights = place_weights(cloth, rest_m)
         shape = self.world_count, len(PLACES), 2
-        self._start_m, self._places_m, self._velocities = np.zeros((3, *shape))
-        self._left_m_per_s, self._highest_m = np.zeros((2, self.world_count))
+        count = 2 * len(PLACES)
+        self._start_m = np.zeros(shape)
+        self._places_m = self._entries("centre_y_m", count).reshape(shape)
+        self._velocities = self._entries("centre_velocity_y_m_per_s", count).reshape(
+            shape
+        )
+        self._rod_m = self._entry("rod_y_m")
+        self._rod_velocity = self._entry("rod_velocity_y_m_per_s")
+        self._left_m_per_s = self._entry("speed_left_m_per_s")
+        self._highest = self._entry("highest_over_limit")
         value = 0.5 * self._speed_m_per_s**2 / self.gravity_m_per_s2
         return value, 2.0 * SPEED_SIGMA * value
 
@@ -105,47 +120,39 @@ class FlingLimit(ControlTask):
         """Return y and z of centre and lines [m], shape [N, 1 + line_count, 2]."""
         return (self._weights @ self.simulation.nodes(self._cloth))[..., 1:]
 
+    def _samples(self) -> FrameSamples:
+        return FrameSamples(self._read, partial(Sampler, self._read), has_states=False)
+
     def _begin(self, worlds: IntArray, randoms: Sequence[np.random.Generator]) -> None:
         self._start_m[worlds] = self._frame.values[-1, worlds]
-        self._places_m[worlds] = self._velocities[worlds] = 0.0
         self._left_m_per_s[worlds] = self._speed_m_per_s
-        self._highest_m[worlds] = 0.0
 
     def _after_frame(self) -> None:
         stage = self._stage
         places_m = self._frame.values - self._start_m
         # Relative to the rod.
         places_m[..., 0] -= stage.offsets
-        velocities = np.diff(places_m, axis=0) / SAMPLE_INTERVAL_S
+        velocities = (places_m[1:] - places_m[:-1]) / SAMPLE_INTERVAL_S
         rises = velocities[:, :, 0, 1] > 0.0
         rose = np.concatenate([self._velocities[None, :, 0, 1] > 0.0, rises[:-1]])
         is_lost = np.abs(stage.offsets[1:, :, 0]) >= self._stroke_m
-        counted_m = np.where(is_lost, -np.inf, places_m[1:, :, 0, 1])
-        counted_m[0] = np.maximum(counted_m[0], self._highest_m)
+        counted = np.where(is_lost, -np.inf, places_m[1:, :, 0, 1] / self.limits)
+        counted[0] = np.maximum(counted[0], self._highest)
         left = stage.speed_changes_left[1:]
         # The rest after the last push is a rounding error.
         is_top = (left < 1e-9) & rose & ~rises
         last = self._end({Ending.LOST: is_lost, Ending.REACHED: is_top})
-        self._places_m, self._velocities = places_m[1:][last], velocities[last]
-        self._left_m_per_s = left[last]
-        self._highest_m = np.maximum.accumulate(counted_m)[last]
+        self._places_m[:], self._velocities[:] = places_m[1:][last], velocities[last]
+        self._rod_m[:] = stage.offsets[1:, :, 0][last]
+        self._rod_velocity[:] = stage.rates[1:, :, 0][last]
+        self._left_m_per_s[:] = left[last]
+        self._highest[:] = np.maximum.accumulate(counted)[last]
 
     def _total_reward(self) -> FloatArray:
-        return self._highest_m / self.limits
-
-    def _observed(self) -> list[FloatArray]:
-        return [
-            self._places_m.reshape(self.world_count, -1),
-            self._velocities.reshape(self.world_count, -1),
-            self._offsets,
-            self._rates,
-            self._left_m_per_s,
-            self._highest_m / self.limits,
-            self.rollout.times_s,
-        ]
+        return self._highest.copy()
 
     def _reached(self, world: int) -> float:
-        return float(self._highest_m[world])
+        return float(self._highest[world] * self.limits[world])
 
     # --- policy of the law ---
 
@@ -157,7 +164,7 @@ class FlingLimit(ControlTask):
         swings_up = place_m * velocity >= 0.0
         is_low = abs(place_m) <= abs(velocity) * speed / self._acceleration_m_per_s2
         wanted = math.copysign(speed, -velocity if swings_up or is_low else velocity)
-        change = wanted - float(self._rates[world, 0])
+        change = wanted - float(self._rod_velocity[world])
         return change / FRAME_S / self._acceleration_m_per_s2
 
 

@@ -13,11 +13,10 @@ from gauge_envs.scene.geometry import (
     IntArray,
     length_of,
     rotation_matrices,
-    unit_quaternions,
 )
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLES_PER_FRAME
-from gauge_envs.tools.control.env import ControlTask, Ending, Limit
 from gauge_envs.tools.control.stage import Stage
+from gauge_envs.tools.control.task import ControlTask, Ending, Limit
 
 CUBE = "cube"
 
@@ -43,6 +42,18 @@ TURNTABLE_APPROACH_S = 2.0 / FRAME_RATE_HZ
 
 SLOPE_RAMP_S = 3.0
 """Time in which the law's policy tilts; its acceleration uses only 0.4 % of the friction."""
+
+
+def _rotation_form() -> FloatArray:
+    """Return the matrix from all products of two entries of a quaternion to its rotation matrix, shape [16, 9]."""
+    units = np.eye(4)
+    sums = rotation_matrices((units[:, None] + units).reshape(16, 4)).reshape(4, 4, 9)
+    squares = rotation_matrices(units).reshape(4, 9)
+    # A rotation matrix is a quadratic form of its quaternion; this is the polar form.
+    return 0.5 * (sums - squares[:, None] - squares).reshape(16, 9)
+
+
+ROTATION_FORM = _rotation_form()
 
 
 class CubeLimit(ControlTask):
@@ -107,16 +118,27 @@ class FrictionLimit(CubeLimit):
 
     def _prepare(self, scene: Scene) -> tuple[float, float]:
         (driver,) = scene.drivers
-        (self._rotation,) = driver.motions
-        self._start_normal = scene.body(driver.body).pose.matrix[None, :, 2]
-        self._point_m = np.array(self._rotation.point_m)
-        self._corners_m = scene.body(CUBE).shape.corners_m
+        (rotation,) = driver.motions
+        self._point_m = np.array(rotation.point_m)
+        self._across = rotation.cross_product
+        # The two cross products with the axis, one after the other.
+        self._around_and_inward = np.hstack([self._across, self._across @ self._across])
+        normal = scene.body(driver.body).pose.matrix[:, 2]
+        around, inward = np.split(normal @ self._around_and_inward, 2)
+        # By Rodrigues' formula, the normal after a rotation by t is along + cos t inward + sin t around.
+        self._normal_parts = np.array([normal + inward, -inward, around])
+        corners_m = scene.body(CUBE).shape.corners_m
+        self._corners_m = np.column_stack([corners_m, np.ones(len(corners_m))])
         count = self.world_count
-        self._paid, self._used_now, self._slip_m_per_s = np.zeros((3, count))
+        self._used_now = self._entry("friction_used")
+        self._slip = self._entry("slip_over_threshold")
+        self._angle_and_rate = self._entries("angle_rad", 2)
+        self._paid = np.zeros(count)
         # The friction used in each frame, and the number of frames with one.
         self._used = np.zeros((self.experiment.frame_count, count))
         self._counts = np.zeros(count, dtype=np.intp)
-        self._corners_on_carrier = np.zeros((count, *self._corners_m.shape))
+        self._on_carrier = np.zeros((count, 4, 3))
+        self._turned = np.ones((SAMPLES_PER_FRAME, count, 3))
         return super()._prepare(scene)
 
     def return_limit(self, world: int = 0) -> float:
@@ -126,27 +148,28 @@ class FrictionLimit(CubeLimit):
     # --- episode ---
 
     def _begin(self, worlds: IntArray, randoms: Sequence[np.random.Generator]) -> None:
-        for array in (self._paid, self._used_now, self._slip_m_per_s, self._counts):
-            array[worlds] = 0
-        self._corners_on_carrier[worlds] = self._corners()[worlds]
+        self._paid[worlds] = self._counts[worlds] = 0
+        self._on_carrier[worlds] = self._cubes_on_carriers()[worlds]
 
     def _after_frame(self) -> None:
-        self._used_now = self._friction_used().mean(axis=0)
-        corners_m = self._corners()
-        moved_m = corners_m - self._corners_on_carrier
-        self._corners_on_carrier = corners_m
+        self._angle_and_rate[:] = self._stage.coordinates[-1]
+        self._used_now[:] = used = self._friction_used().sum(axis=0) / SAMPLES_PER_FRAME
+        on_carrier = self._cubes_on_carriers()
+        moved_m = self._corners_m @ (on_carrier - self._on_carrier)
+        self._on_carrier = on_carrier
         fastest_m = np.sqrt((moved_m * moved_m).sum(axis=-1).max(axis=-1))
-        self._slip_m_per_s = fastest_m * FRAME_RATE_HZ
+        self._slip[:] = fastest_m * (FRAME_RATE_HZ / SLIP_SPEED_M_PER_S)
         # A comparison with NaN is false.
-        holds = self._slip_m_per_s < SLIP_SPEED_M_PER_S
-        self._used[self._counts, self._worlds] = self._used_now
+        holds = self._slip < 1.0
+        self._used[self._counts, self._worlds] = used
         self._counts += holds
-        self._paid += np.where(holds, self._used_now, 0.0)
+        self._paid += used
+        if holds.all():
+            return
         for world in np.flatnonzero(~holds).tolist():
             held = max(self._counts[world] - HOLD_FRAMES, 0)
             self._paid[world] = self._used[:held, world].sum()
-        at_the_end = np.arange(SAMPLES_PER_FRAME)[:, None] == SAMPLES_PER_FRAME - 1
-        self._end({Ending.SLIPPED: at_the_end & ~holds})
+            self.endings[world] = Ending.SLIPPED
 
     def _friction_used(self) -> FloatArray:
         """Return the tangential over the normal part of the force that carries the cube.
@@ -155,37 +178,35 @@ class FrictionLimit(CubeLimit):
             Values at the ends of the intervals of the frame, shape [6, N].
         """
         stage = self._stage
-        # The cross product with the axis.
-        across = self._rotation.cross_product
-        around_m = (self._frame.values[1:, :, 0, :3] - self._point_m) @ across
-        inward_m = around_m @ across
+        arms_m = self._frame.values[1:, :, 0, :3] - self._point_m
+        products_m = arms_m @ self._around_and_inward
         # Force per mass [m/s^2]: the acceleration of the carrier, alpha x r + omega^2 r inward, minus gravity.
-        forces = stage.acceleration * around_m + stage.rates[1:] ** 2 * inward_m
+        forces = stage.acceleration * products_m[..., :3]
+        forces += stage.rates[1:] ** 2 * products_m[..., 3:]
         forces[..., 2] += self.gravity_m_per_s2
-        normals = self._rotation.rotated(self._start_normal, stage.offsets[1:])
+        np.cos(stage.offsets[1:], out=self._turned[..., 1:2])
+        np.sin(stage.offsets[1:], out=self._turned[..., 2:])
+        normals = self._turned @ self._normal_parts
         normal = (forces * normals).sum(axis=-1)
-        tangential = forces - normal[..., None] * normals
-        return np.asarray(np.sqrt((tangential * tangential).sum(axis=-1)) / normal)
+        forces -= normal[..., None] * normals
+        return np.asarray(np.sqrt((forces * forces).sum(axis=-1)) / normal)
 
-    def _corners(self) -> FloatArray:
-        """Return the corners of the cubes in the frames of their carriers now [m], shape [N, 8, 3]."""
+    def _cubes_on_carriers(self) -> FloatArray:
+        """Return the axes of the cubes and their centres [m] in the frames of their carriers now, shape [N, 4, 3]."""
         states, carriers = self._frame.values[-1, :, 0], self._stage.poses[-1]
-        rotations = rotation_matrices(unit_quaternions(states[:, 3:7]))
-        corners_m = self._corners_m @ rotations.transpose(0, 2, 1)
-        corners_m += (states[:, :3] - carriers[:, :3])[:, None]
-        return corners_m @ rotation_matrices(carriers[:, 3:])
+        quaternions = np.concatenate([states[:, 3:7], carriers[:, 3:]])
+        products = quaternions[:, :, None] * quaternions[:, None]
+        matrices = np.einsum("nk,kj->nj", products.reshape(-1, 16), ROTATION_FORM)
+        # The quaternions of an engine are units to its precision.
+        matrices /= (quaternions * quaternions).sum(axis=1, keepdims=True)
+        cubes, plates = matrices.reshape(2, -1, 3, 3)
+        rows = np.empty((self.world_count, 4, 3))
+        rows[:, :3] = cubes.swapaxes(1, 2)
+        rows[:, 3] = states[:, :3] - carriers[:, :3]
+        return rows @ plates
 
     def _total_reward(self) -> FloatArray:
         return self._paid.copy()
-
-    def _observed(self) -> list[FloatArray]:
-        return [
-            self._offsets[:, 0],
-            self._rates[:, 0],
-            self._used_now,
-            self._slip_m_per_s / SLIP_SPEED_M_PER_S,
-            self.rollout.times_s,
-        ]
 
     def _reached(self, world: int) -> float:
         count = int(self._counts[world])
@@ -224,10 +245,10 @@ class TurntableLimit(FrictionLimit):
     def _law_command(self, fraction: float, world: int) -> float:
         """Return the action that approaches omega = sqrt(fraction mu g / r), with r the current radius of the cube."""
         arm_m = self._frame.values[-1, world, 0, :3] - self._point_m
-        radius_m = length_of(arm_m @ self._rotation.cross_product)
+        radius_m = length_of(arm_m @ self._across)
         limit_m_per_s2 = fraction * self.limits[world] * self.gravity_m_per_s2
         wanted = math.sqrt(limit_m_per_s2 / radius_m)
-        change = wanted - float(self._rates[world, 0])
+        change = wanted - float(self._angle_and_rate[world, 1])
         return change / TURNTABLE_APPROACH_S / self.ACCELERATION
 
 

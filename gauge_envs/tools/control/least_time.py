@@ -19,10 +19,10 @@ from gauge_envs.scene.geometry import (
 )
 from gauge_envs.scene.states import row_of
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S, SAMPLES_PER_FRAME
-from gauge_envs.tools.control.env import Ending, Limit
 from gauge_envs.tools.control.friction import CUBE, CubeLimit
 from gauge_envs.tools.control.stage import (
     FRAME_S,
+    INTERVALS,
     X_AXIS,
     Y_AXIS,
     acceleration_to_rest,
@@ -30,6 +30,7 @@ from gauge_envs.tools.control.stage import (
     stage_driver,
     with_box,
 )
+from gauge_envs.tools.control.task import Ending, Limit
 
 TOLERANCE_M = 0.015
 """Largest distance of the cube's centre from the goal [m]."""
@@ -141,11 +142,20 @@ class LeastTimeLimit(CubeLimit):
 
     def _prepare(self, scene: Scene) -> tuple[float, float]:
         count = self.world_count
-        self.goals_m, self._moved_m, self._velocity, self._driven_m = np.zeros(
-            (4, count, 2)
-        )
-        self._yaw_rad, self._time_s = np.zeros((2, count))
-        self._starts = np.zeros((count, 13))
+        self.goals_m = np.zeros((count, 2))
+        self._to_goal_m = self._entries("to_goal_x_m", 2)
+        self._velocity = self._entries("cube_velocity_x_m_per_s", 2)
+        self._yaw_rad = self._entry("cube_yaw_rad")
+        self._driven_m = self._entries("driven_from_cube_x_m", 2)
+        self._driven_velocity = self._entries("driven_from_cube_velocity_x_m_per_s", 2)
+        self._time_s = self._entry("time_s")
+        self._intervals = np.repeat(INTERVALS[..., 0], count, axis=1)
+        self._starts_m = np.zeros((count, 3))
+        # Matrices of the product with the inverse of the rotation at the start.
+        self._back = np.zeros((count, 4, 4))
+        # Distances from the goal, and speeds towards it.
+        self._at_start_and_now = np.zeros((2, 2, count))
+        self._at_start_and_now[0] = self.DISTANCE_M
         return super()._prepare(scene)
 
     def _begin(self, worlds: IntArray, randoms: Sequence[np.random.Generator]) -> None:
@@ -153,49 +163,44 @@ class LeastTimeLimit(CubeLimit):
             angle = randoms[world].uniform(-self.MAX_ANGLE_RAD, self.MAX_ANGLE_RAD)
             direction = np.array([math.cos(angle), math.sin(angle)])
             self.goals_m[world] = self.DISTANCE_M * direction
-        states = self._frame.values[-1, :, 0]
-        self._starts[worlds] = states[worlds]
-        driven_m = self._stage.poses[-1, :, :2] - states[:, :2]
-        self._driven_m[worlds] = driven_m[worlds]
-        self._moved_m[worlds] = self._velocity[worlds] = 0.0
-        self._yaw_rad[worlds] = self._time_s[worlds] = 0.0
+        states = self._frame.values[-1, worlds, 0]
+        self._starts_m[worlds] = states[:, :3]
+        for world, start in zip(worlds, states[:, 3:7] * CONJUGATE, strict=True):
+            self._back[world] = quaternion_products(np.eye(4), np.tile(start, (4, 1)))
+        self._to_goal_m[worlds] = self.goals_m[worlds]
+        self._driven_m[worlds] = self._stage.poses[-1, worlds, :2] - states[:, :2]
 
     def _after_frame(self) -> None:
         cubes = self._frame.values[:, :, 0]
-        velocities = np.diff(cubes[..., :2], axis=0) / SAMPLE_INTERVAL_S
-        cubes = cubes[1:]
-        moved_m: FloatArray = cubes[..., :2] - self._starts[:, :2]
-        driven_m = self._stage.poses[1:, :, :2] - cubes[..., :2]
-        yaws_rad = self._yaws_rad(cubes[..., 3:7])
-        is_lost = self._is_lost(driven_m, cubes[..., 2] - self._starts[:, 2])
+        velocities = (cubes[1:, :, :2] - cubes[:-1, :, :2]) / SAMPLE_INTERVAL_S
+        moved_m = cubes[1:, :, :3] - self._starts_m
+        to_goal_m = self.goals_m - moved_m[..., :2]
+        driven_m = self._stage.poses[1:, :, :2] - cubes[1:, :, :2]
+        yaws_rad = self._yaws_rad(cubes[1:, :, 3:7])
+        is_lost = self._is_lost(driven_m, moved_m[..., 2])
         has_arrived = (
-            (_lengths(self.goals_m - moved_m) <= TOLERANCE_M)
+            (_lengths(to_goal_m) <= TOLERANCE_M)
             & (np.abs(yaws_rad) <= TOLERANCE_RAD)
             & (_lengths(velocities) <= REST_M_PER_S)
         )
         last = self._end({Ending.LOST: is_lost, Ending.REACHED: has_arrived})
-        self._moved_m, self._velocity = moved_m[last], velocities[last]
-        self._yaw_rad, self._driven_m = yaws_rad[last], driven_m[last]
+        self._to_goal_m[:] = to_goal_m[last]
+        self._velocity[:] = velocities[last]
+        self._yaw_rad[:] = yaws_rad[last]
+        self._driven_m[:] = driven_m[last]
+        self._driven_velocity[:] = self._stage.rates[1:][last] - self._velocity
         # The last frame of an episode may be incomplete.
-        missing = SAMPLES_PER_FRAME - self._shown
-        intervals = self.rollout.frames * SAMPLES_PER_FRAME - missing
-        self._time_s = SAMPLE_INTERVAL_S * intervals.astype(np.float64)
+        before = (self.rollout.frames - 1) * SAMPLES_PER_FRAME
+        self._time_s[:] = SAMPLE_INTERVAL_S * (before + self._intervals[last])
 
     def _yaws_rad(self, quaternions: FloatArray) -> FloatArray:
         """Return the z component of the rotation vectors since the start [rad], shape [6, N]."""
-        starts = np.broadcast_to(self._starts[:, 3:7] * CONJUGATE, quaternions.shape)
-        turns = quaternion_products(quaternions.reshape(-1, 4), starts.reshape(-1, 4))
-        return quaternion_vectors(turns)[:, 2].reshape(quaternions.shape[:2])
+        turns = np.einsum("snp,npq->snq", quaternions, self._back)
+        return quaternion_vectors(turns.reshape(-1, 4))[:, 2].reshape(turns.shape[:2])
 
-    def _observed(self) -> list[FloatArray]:
-        return [
-            self.goals_m - self._moved_m,
-            self._velocity,
-            self._yaw_rad,
-            self._driven_m,
-            self._rates - self._velocity,
-            self._time_s,
-        ]
+    def _moved_m(self, world: int) -> float:
+        """Return the distance of the cube from its start [m]."""
+        return length_of(self.goals_m[world] - self._to_goal_m[world])
 
     def _total_reward(self) -> FloatArray:
         total: FloatArray = -(1.0 - ARRIVAL_SHARE) * self._times_to_go()
@@ -207,14 +212,14 @@ class LeastTimeLimit(CubeLimit):
     def _times_to_go(self) -> FloatArray:
         """Return the time to go over its initial value. Speed across the line to the goal adds its braking time."""
         limits_m_per_s2 = self.limits * self.gravity_m_per_s2
-        velocity, to_goal_m = self._velocity, self.goals_m - self._moved_m
+        velocity, to_goal_m = self._velocity, self._to_goal_m
         left_m = _lengths(to_goal_m)
         speed = (velocity * to_goal_m).sum(axis=-1) / np.maximum(left_m, 1e-300)
         square = (velocity * velocity).sum(axis=-1) - speed**2
         across = np.sqrt(np.maximum(square, 0.0))
-        distance_m = np.full_like(left_m, self.DISTANCE_M)
-        at_start_s = self.time_to_go_s(distance_m, 0.0 * speed, limits_m_per_s2)
-        now_s = self.time_to_go_s(left_m, speed, limits_m_per_s2)
+        distances_m, speeds = self._at_start_and_now
+        distances_m[1], speeds[1] = left_m, speed
+        at_start_s, now_s = self.time_to_go_s(distances_m, speeds, limits_m_per_s2)
         return (now_s + across / limits_m_per_s2) / at_start_s
 
 
@@ -250,6 +255,7 @@ class CarryLimit(LeastTimeLimit):
 
     def _scene(self, scene: Scene) -> Scene:
         """Return the scene, in which actions translate the plate."""
+        self._plate_radius_m = scene.body(self.DRIVEN).shape.corners_m[:, 0].max()
         return replace(scene, drivers=(stage_driver(self.DRIVEN, X_AXIS, Y_AXIS),))
 
     @staticmethod
@@ -269,24 +275,23 @@ class CarryLimit(LeastTimeLimit):
     def _reached(self, world: int) -> float:
         """Return a / g with the least acceleration a, which solves 4 a D = (a T + v)^2 - 2 v^2."""
         time_s, speed = float(self._time_s[world]), length_of(self._velocity[world])
-        twice = 4.0 * length_of(self._moved_m[world]) - 2.0 * time_s * speed
+        twice = 4.0 * self._moved_m(world) - 2.0 * time_s * speed
         root = math.hypot(twice, 2.0 * time_s * speed)
         return (twice + root) / (2.0 * time_s**2) / self.gravity_m_per_s2
 
     def _is_lost(
         self, driven_from_cube_m: FloatArray, risen_m: FloatArray
     ) -> BoolArray:
-        plate = self.experiment.scene.body(self.DRIVEN).shape
-        radius_m = plate.corners_m[:, 0].max()
-        return (_lengths(driven_from_cube_m) > radius_m) | (risen_m < -FALLEN_M)
+        has_left = _lengths(driven_from_cube_m) > self._plate_radius_m
+        return has_left | (risen_m < -FALLEN_M)
 
     def _law_command(self, fraction: float, world: int) -> FloatArray:
         """Return the action that accelerates and brakes towards the goal with fraction mu g."""
         limit_m_per_s2 = fraction * float(self.limits[world]) * self.gravity_m_per_s2
         along = self.goals_m[world] / self.DISTANCE_M
         across = np.array([-along[1], along[0]])
-        left_m = self.goals_m[world] - self._moved_m[world]
-        speed = self._rates[world]
+        left_m = self._to_goal_m[world]
+        speed = self._stage.rates[-1, world]
         aside = acceleration_to_rest(
             float(left_m @ across), float(speed @ across), ASIDE_SHARE * limit_m_per_s2
         )
@@ -368,7 +373,7 @@ class PushLimit(LeastTimeLimit):
     def _reached(self, world: int) -> float:
         """Return a / g with the least deceleration a, which solves D = v T + a T^2 / 2, at least 0."""
         time_s, speed = float(self._time_s[world]), length_of(self._velocity[world])
-        braked_m = length_of(self._moved_m[world]) - speed * time_s
+        braked_m = self._moved_m(world) - speed * time_s
         return max(2.0 * braked_m / time_s**2, 0.0) / self.gravity_m_per_s2
 
     def _is_lost(
@@ -380,13 +385,13 @@ class PushLimit(LeastTimeLimit):
     def _law_command(self, fraction: float, world: int) -> FloatArray:
         """Return the action that pushes until the cube coasts to the goal, if its friction is fraction mu."""
         braking_m_per_s2 = fraction * float(self.limits[world]) * self.gravity_m_per_s2
-        to_goal_m = self.goals_m[world] - self._moved_m[world]
+        to_goal_m = self._to_goal_m[world]
         left_m = length_of(to_goal_m)
         direction = to_goal_m / max(left_m, 1e-9)
         speed = float(self._velocity[world] @ direction)
         coasts_m = speed * abs(speed) / (2.0 * braking_m_per_s2)
         left_m -= PUSHED_ON_M
-        pusher, wanted = self._rates[world], np.zeros(2)
+        pusher, wanted = self._stage.rates[-1, world], np.zeros(2)
         if coasts_m < left_m:
             pushed = float(pusher @ direction)
             wanted = (

@@ -8,8 +8,8 @@ import numpy as np
 
 from gauge_envs.scene import Hinge, Scene, Sphere
 from gauge_envs.scene.geometry import FloatArray, IntArray
-from gauge_envs.tools.control.env import ControlTask, Ending, Limit
 from gauge_envs.tools.control.stage import FRAME_S
+from gauge_envs.tools.control.task import ControlTask, Ending, Limit
 
 BALL = "ball"
 
@@ -90,8 +90,10 @@ class PendulumLimit(ControlTask):
         self._max_torque_n_m = TORQUE_SHARE * self._weight_n * length_m
         self._target_m = length_m * (1.0 - math.cos(TARGET_RAD))
         self._least_work_j = self._weight_n * self._target_m
-        arrays = np.zeros((4, self.world_count))
-        self._angle, self._rate, self._highest_m, self._work_j = arrays
+        self._angle = self._entry("angle_rad")
+        self._rate = self._entry("rate_rad_per_s")
+        self._highest = self._entry("highest_over_target")
+        self._work = self._entry("work_over_least")
         value = 1.0 / self._weight_n
         return value, value * math.hypot(LENGTH_SIGMA, MASS_SIGMA_KG / ball.mass_kg)
 
@@ -101,7 +103,6 @@ class PendulumLimit(ControlTask):
         angles, rates = self._swing()
         self._angle[worlds] = angles[-1, worlds]
         self._rate[worlds] = rates[-1, worlds]
-        self._highest_m[worlds] = self._work_j[worlds] = 0.0
 
     def _before_step(self, commands: FloatArray) -> None:
         self._torque_n_m = commands[:, 0] * self._max_torque_n_m
@@ -111,14 +112,15 @@ class PendulumLimit(ControlTask):
 
     def _after_frame(self) -> None:
         angles, rates = self._swing()
-        work_j = np.maximum(self._torque_n_m * np.diff(angles, axis=0), 0.0)
-        work_j = self._work_j + work_j.cumsum(axis=0)
-        heights_m = self._length_m * (1.0 - np.cos(angles[1:]))
-        heights_m[0] = np.maximum(heights_m[0], self._highest_m)
-        highest_m = np.maximum.accumulate(heights_m).clip(max=self._target_m)
-        last = self._end({Ending.REACHED: highest_m == self._target_m})
-        self._angle, self._rate = angles[1:][last], rates[1:][last]
-        self._work_j, self._highest_m = work_j[last], highest_m[last]
+        turned = angles[1:] - angles[:-1]
+        work = np.maximum(turned * (self._torque_n_m / self._least_work_j), 0.0)
+        work = self._work + work.cumsum(axis=0)
+        heights = (1.0 - np.cos(angles[1:])) * (self._length_m / self._target_m)
+        heights[0] = np.maximum(heights[0], self._highest)
+        highest = np.minimum(np.maximum.accumulate(heights), 1.0)
+        last = self._end({Ending.REACHED: highest == 1.0})
+        self._angle[:], self._rate[:] = angles[1:][last], rates[1:][last]
+        self._work[:], self._highest[:] = work[last], highest[last]
 
     def _swing(self) -> tuple[FloatArray, FloatArray]:
         """Return the angles from hanging [rad] and their rates [rad/s] at the seven samples, shape [7, N]."""
@@ -128,16 +130,11 @@ class PendulumLimit(ControlTask):
         return angles, states[..., 10:] @ self._axis
 
     def _total_reward(self) -> FloatArray:
-        spent = self._work_j / self._least_work_j
-        return 2.0 * self._highest_m / self._target_m - spent
-
-    def _observed(self) -> list[FloatArray]:
-        highest = self._highest_m / self._target_m
-        work = self._work_j / self._least_work_j
-        return [self._angle, self._rate, highest, work, self.rollout.times_s]
+        return 2.0 * self._highest - self._work
 
     def _reached(self, world: int) -> float:
-        return self._target_m / float(self._work_j[world])
+        work_j = float(self._work[world]) * self._least_work_j
+        return self._target_m / work_j
 
     # --- policy of the law ---
 
@@ -147,9 +144,9 @@ class PendulumLimit(ControlTask):
         A `fraction` below 1 does more than the least work and reaches the target; a `fraction` above 1 does not.
         """
         angle, now = float(self._angle[world]), float(self._rate[world])
-        work_j = float(self._work_j[world])
-        left_j = self._least_work_j / fraction - work_j
-        has_begun = work_j > 0.0
+        work = float(self._work[world])
+        left_j = self._least_work_j * (1.0 / fraction - work)
+        has_begun = work > 0.0
         direction = math.copysign(1.0, now) if has_begun else 1.0
         torque = direction * self._max_torque_n_m
         rate = now + self._acceleration(torque, angle) * FRAME_S

@@ -21,8 +21,8 @@ X_AXIS, Y_AXIS, Z_AXIS = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
 FRAME_S = 1.0 / FRAME_RATE_HZ
 """Time of a step, in which the acceleration is constant [s]."""
 
-INTERVALS = np.arange(SAMPLES_PER_FRAME + 1)[:, None, None]
-"""Numbers of the samples of a frame, shape [7, 1, 1]."""
+INTERVALS = np.arange(1, SAMPLES_PER_FRAME + 1)[:, None, None]
+"""Numbers of the samples of a frame after its start, shape [6, 1, 1]."""
 
 
 def stage_driver(body: str, *axes: Vector) -> Driver:
@@ -79,8 +79,9 @@ class Stage:
         body: Name of the body.
         motion_count: Number of its coordinates M.
         acceleration: Acceleration of each coordinate in the frame, shape [N, M].
-        offsets: Coordinates at the seven samples of the frame, shape [7, N, M].
-        rates: Their rates, of the same shape.
+        coordinates: Coordinates at the seven samples of the frame, then their rates, shape [7, N, 2 M].
+        offsets: View of the coordinates, shape [7, N, M].
+        rates: View of the rates, of the same shape.
         speed_changes_left: Rest of `speed_change` at the samples, shape [7, N].
         poses: Poses of the body at the samples, position [m] and unit quaternion w x y z, shape [7, N, 7].
     """
@@ -104,10 +105,12 @@ class Stage:
         self._strokes = np.array(strokes * (self.motion_count // len(strokes)))
         self._has_stroke = min(strokes) < math.inf
         self._speed_change = speed_change
-        shape = SAMPLES_PER_FRAME + 1, world_count, self.motion_count
-        self.offsets, self.rates = np.zeros((2, *shape))
-        self.speed_changes_left = np.full(shape[:2], speed_change)
-        self.poses = np.zeros((*shape[:2], 7))
+        shape = SAMPLES_PER_FRAME + 1, world_count
+        self.coordinates = np.zeros((*shape, 2 * self.motion_count))
+        self.offsets = self.coordinates[..., : self.motion_count]
+        self.rates = self.coordinates[..., self.motion_count :]
+        self.speed_changes_left = np.full(shape, speed_change)
+        self.poses = np.zeros((*shape, 7))
         self._shifts_m = np.zeros((world_count, 3))
         self._simple = SimpleTargets(driver, self._start)
         self.reset(worlds=np.ones(world_count, dtype=np.bool_))
@@ -141,42 +144,44 @@ class Stage:
             Shape [6, N, 19].
         """
         self.acceleration = actions * self._scale
-        self._move(self.acceleration * SAMPLE_INTERVAL_S)
-        targets, self.poses = self._simple.targets(self.offsets, self.rates)
+        self._move(INTERVALS * (self.acceleration * SAMPLE_INTERVAL_S))
+        targets, self.poses = self._simple.targets(self.coordinates)
         if self._is_shifted:
             targets[..., :3] += self._shifts_m
             self.poses[..., :3] += self._shifts_m
         return targets
 
-    def _move(self, changes: FloatArray) -> None:
-        """Advance coordinates and rates by a frame with a change of the rates in each interval, shape [N, M]."""
-        before, gains = self.rates[-1], INTERVALS * changes
+    def _move(self, gains: FloatArray) -> None:
+        """Advance coordinates and rates by a frame with gains of the rates since its start, shape [6, N, M]."""
+        offsets, rates = self.offsets, self.rates
         is_limited = self._speed_change < math.inf
         if is_limited:
             left = self.speed_changes_left[-1, :, None]
             gains = np.clip(gains, -left, left)
-        rates = before + gains
+        rates[0], offsets[0] = rates[-1], offsets[-1]
+        np.add(rates[0], gains, out=rates[1:])
         if self._max_rate < math.inf:
             # `np.clip` takes three times as long.
-            rates = np.minimum(np.maximum(rates, -self._max_rate), self._max_rate)
-        offsets = np.empty_like(rates)
-        offsets[0] = self.offsets[-1]
-        offsets[1:] = (0.5 * SAMPLE_INTERVAL_S) * (rates[1:] + rates[:-1])
-        offsets = np.add.accumulate(offsets)
+            rates[:] = np.minimum(np.maximum(rates, -self._max_rate), self._max_rate)
+        np.add(rates[1:], rates[:-1], out=offsets[1:])
+        offsets[1:] *= 0.5 * SAMPLE_INTERVAL_S
+        np.add.accumulate(offsets, out=offsets)
         if is_limited:
-            used = np.abs(rates - before).sum(axis=-1)
+            used = np.abs(rates - rates[0]).sum(axis=-1)
             self.speed_changes_left = np.maximum(self.speed_changes_left[-1] - used, 0)
         if self._has_stroke and (np.abs(offsets) > self._strokes).any():
-            self._stop(offsets, rates, np.diff(gains, axis=0))
-        self.offsets, self.rates = offsets, rates
+            self._stop(np.diff(gains, axis=0, prepend=0.0))
 
-    def _stop(self, offsets: FloatArray, rates: FloatArray, gains: FloatArray) -> None:
-        """Stop coordinates at the ends of their strokes, interval by interval."""
+    def _stop(self, gains: FloatArray) -> None:
+        """Stop coordinates at the ends of their strokes, interval by interval, whose gains of rates are given."""
+        offsets, rates = self.offsets, self.rates
         for index, gain in enumerate(gains):
-            rate = np.clip(rates[index] + gain, -self._max_rate, self._max_rate)
+            rate = np.minimum(rates[index] + gain, self._max_rate)
+            rate = np.maximum(rate, -self._max_rate)
             wanted = offsets[index] + 0.5 * SAMPLE_INTERVAL_S * (rates[index] + rate)
-            offsets[index + 1] = np.clip(wanted, -self._strokes, self._strokes)
-            rates[index + 1] = np.where(offsets[index + 1] == wanted, rate, 0.0)
+            reached = np.minimum(np.maximum(wanted, -self._strokes), self._strokes)
+            offsets[index + 1] = reached
+            rates[index + 1] = np.where(reached == wanted, rate, 0.0)
 
 
 def acceleration_to_rest(

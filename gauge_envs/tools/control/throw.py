@@ -9,7 +9,6 @@ import numpy as np
 from gauge_envs.references.uncertainties import RESTITUTION_SHARE
 from gauge_envs.scene import Scene, Sphere
 from gauge_envs.scene.geometry import FloatArray, IntArray
-from gauge_envs.tools.control.env import ControlTask, Ending, Limit
 from gauge_envs.tools.control.stage import (
     FRAME_S,
     X_AXIS,
@@ -19,6 +18,7 @@ from gauge_envs.tools.control.stage import (
     stage_driver,
     with_box,
 )
+from gauge_envs.tools.control.task import ControlTask, Ending, Limit
 
 BALL, PLATE = "ball", "plate"
 
@@ -157,10 +157,13 @@ class ThrowLimit(ControlTask):
         self._restitution = scene.contacts[0].restitution
         # The uncertainty belongs to the published coefficient, also if an override replaces the coefficient.
         self._std = RESTITUTION_SHARE * self.published_scene.contacts[0].restitution
-        arrays = np.zeros((4, self.world_count))
-        self._from_plate_m, self._height_m, self._highest_m, self._drop_m = arrays
-        self._velocity = np.zeros((self.world_count, 2))
-        self._impacts = np.zeros(self.world_count)
+        self._highest_m, self._drop_m = np.zeros((2, self.world_count))
+        self._from_plate_m = self._entry("ball_from_plate_x_m")
+        self._height_m = self._entry("ball_height_m")
+        self._velocity = self._entries("ball_velocity_x_m_per_s", 2)
+        self._plate_m = self._entry("plate_height_m")
+        self._plate_velocity = self._entries("plate_velocity_x_m_per_s", 2)
+        self._impacts = self._entry("impacts")
         return self._limit_of(ball.pose.position_m[2] - self._zero_m)
 
     def _limit_of(self, drop_m: float) -> tuple[float, float]:
@@ -177,7 +180,6 @@ class ThrowLimit(ControlTask):
         from_plate_m, heights_m, velocities = self._ball()
         self._from_plate_m[worlds] = from_plate_m[-1, worlds]
         self._velocity[worlds] = velocities[-1, worlds]
-        self._impacts[worlds] = 0
         for array in (self._height_m, self._highest_m, self._drop_m):
             array[worlds] = heights_m[-1, worlds]
         for world in worlds.tolist():
@@ -192,36 +194,29 @@ class ThrowLimit(ControlTask):
 
     def _after_frame(self) -> None:
         from_plate_m, heights_m, velocities = self._ball()
-        falls = velocities[:-1, :, 1] < 0.0
+        falls = velocities[..., 1] < 0.0
         rises = velocities[1:, :, 1] > 0.0
-        has_turned = falls & rises
-        # Whether the ball is above the plate's top, and not near its edges.
-        is_inside = np.abs(from_plate_m) <= 0.5 * PLATE_SIZE_M[0] - EDGE_M
-        is_lost = has_turned & ~(is_inside[:-1] & is_inside[1:])
-        is_lost |= heights_m[1:] < -STROKE_M - PLATE_SIZE_M[2]
+        has_turned = falls[:-1] & rises
+        is_lost = heights_m[1:] < -STROKE_M - PLATE_SIZE_M[2]
         impacts = self._impacts + has_turned.cumsum(axis=0)
+        if has_turned.any():
+            # Whether the ball is above the plate's top, and not near its edges.
+            is_inside = np.abs(from_plate_m) <= 0.5 * PLATE_SIZE_M[0] - EDGE_M
+            is_lost |= has_turned & ~(is_inside[:-1] & is_inside[1:])
+        is_top = (impacts >= IMPACTS) & falls[1:]
+        last = self._end({Ending.LOST: is_lost, Ending.REACHED: is_top})
         counted_m = np.where(is_lost, -np.inf, heights_m[1:])
         counted_m[0] = np.maximum(counted_m[0], self._highest_m)
-        highest_m = np.maximum.accumulate(counted_m)
-        is_top = (impacts >= IMPACTS) & (velocities[1:, :, 1] < 0.0)
-        last = self._end({Ending.LOST: is_lost, Ending.REACHED: is_top})
-        self._from_plate_m, self._height_m = from_plate_m[1:][last], heights_m[1:][last]
-        self._velocity, self._impacts = velocities[1:][last], impacts[last]
-        self._highest_m = highest_m[last]
+        self._highest_m = np.maximum.accumulate(counted_m)[last]
+        self._from_plate_m[:] = from_plate_m[1:][last]
+        self._height_m[:] = heights_m[1:][last]
+        self._velocity[:] = velocities[1:][last]
+        self._plate_m[:] = self._stage.offsets[1:, :, 1][last]
+        self._plate_velocity[:] = self._stage.rates[1:][last]
+        self._impacts[:] = impacts[last]
 
     def _total_reward(self) -> FloatArray:
         return self._highest_m / (self.limits - self._drop_m)
-
-    def _observed(self) -> list[FloatArray]:
-        return [
-            self._from_plate_m,
-            self._height_m,
-            self._velocity,
-            self._offsets[:, 1],
-            self._rates,
-            self._impacts,
-            self.rollout.times_s,
-        ]
 
     def _reached(self, world: int) -> float:
         return float(self._highest_m[world])
@@ -238,9 +233,9 @@ class ThrowLimit(ControlTask):
         square = velocity_z**2 + 2.0 * gravity * above_m
         meets_s = (velocity_z + math.sqrt(max(square, 0.0))) / gravity
         across_m = float(self._from_plate_m[world]) + velocity_x * meets_s
-        rate_x, rate_z = self._rates[world].tolist()
+        rate_x, rate_z = self._plate_velocity[world].tolist()
         across = acceleration_to_rest(across_m, rate_x, braking_m_per_s2)
-        height_m = float(self._offsets[world, 1])
+        height_m = float(self._plate_m[world])
         # A plate that is on this line in time, half a frame later, meets the ball at its place with its speed.
         if MEETING_M - speed * (meets_s - 0.5 * FRAME_S) >= height_m:
             up = (speed - rate_z) / FRAME_S

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -59,43 +58,32 @@ def reference(
     file = _file(experiment.variant, out)
     coarse = solving.finished(request)
     scene = experiment.scene
-    levels = solving.refinements(coarse, scene)
-    given = {**coarse.settings_given, "timestep_s": coarse.settings["timestep_s"]}
-    runs = [given]
-    for values in chain.from_iterable(levels.values()):
-        if values not in runs:
-            runs.append(values)
-    softness = {
-        word: solving.softened(coarse, scene, halvings=halvings)
-        for word, halvings in (("half", 1), ("twice", -1))
-    }
-    names = [_refined(values, softness) for values in runs]
-    minutes = solving.minutes(coarse, scene, runs[1:])
-    message(_plan(names, coarse.cpu_s or 0.0, minutes))
-    requests = [replace(request, settings=values) for values in runs[1:]]
-    if against:
-        requests.insert(0, replace(request, backend=against, settings=None))
-    labels = [*([against] if against else []), *names[1:]]
-    results = []
-    with Progress("runs", len(requests)) as progress:
-        for each, label in zip(requests, labels, strict=True):
-            results.append(solving.finished(each))
-            progress.advance(label)
-    other = solving.motion(results.pop(0)) if against else None
-    motions = [solving.motion(result) for result in (coarse, *results)]
-    found = {
-        name: [motions[runs.index(values)] for values in refined]
-        for name, refined in levels.items()
-    }
+    given, levels = solving.given_level(coarse), solving.refinements(coarse, scene)
+    motions = {given: solving.motion(coarse)}
+    runs = dict.fromkeys(chain.from_iterable(levels.values()))
+    runs.pop(given, None)
+    minutes = solving.minutes(coarse, scene, runs)
+    took = f"{given} took {coarse.cpu_s or 0.0:.2f} s of a processor"
+    message(f"{took}; about {minutes:.1f} min for {'; '.join(map(str, runs))}")
+    other = None
+    with Progress("runs", len(runs) + bool(against)) as progress:
+        if against:
+            second = replace(request, backend=against, settings=None)
+            other = solving.motion(solving.finished(second))
+            progress.advance(against)
+        for level in runs:
+            refined = solving.settings_of(level, coarse, scene)
+            finer = solving.finished(replace(request, settings=refined))
+            motions[level] = solving.motion(finer)
+            progress.advance(str(level))
+    found = {name: [motions[level] for level in of] for name, of in levels.items()}
     solved = solving.solution(found, len(experiment.coordinates), other)
     is_soft = bool(scene.contacts) and solving.SOFTNESS not in levels
     left_out = _left_out(against, is_soft)
     compared = f", compared with {against}" if against else ""
     version = coarse.versions.get(backend, "")
     *_, (*_, finest) = levels.values()
-    source = (
-        f"{backend} {version} with {_refined(finest, softness)}{compared}; {left_out}"
-    )
+    source = f"{backend} {version} with {finest}{compared}; {left_out}"
     solving.write_solution(file, experiment, solved, source)
     echo(_summary(solved, experiment.score.observable.unit))
     echo(f"{left_out}\n{file}")
@@ -124,36 +112,6 @@ def _file(variant: Variant, out: Path | None) -> Path:
     file = (out or task_path(variant.family).parent) / f"{variant.name}.band.toml"
     check_replaceable_band(file)
     return file
-
-
-def _refined(
-    settings: Mapping[str, Any], softness: Mapping[str, Mapping[str, Any]]
-) -> str:
-    """Return the step, the cells and the contacts of a run, as `timestep_s=1/9000`.
-
-    Args:
-        settings: Settings of the run.
-        softness: Settings of stiffer and softer contacts by their factor in words.
-    """
-    text = f"timestep_s=1/{1.0 / settings['timestep_s']:.6g}"
-    if cell_m := settings.get("cell_m"):
-        text += f",cell_m={cell_m:.4g}"
-    for factor, contacts in softness.items():
-        if contacts and contacts.items() <= settings.items():
-            text += f",{factor} the softness of contacts"
-    return text
-
-
-def _plan(names: Sequence[str], cpu_s: float, minutes: float) -> str:
-    """Return the runs that follow the first one, and their estimated minutes.
-
-    Args:
-        names: Names of the runs.
-        cpu_s: Processor time of the first one [s].
-        minutes: Processor time of the others [min].
-    """
-    took = f"{names[0]} took {cpu_s:.2f} s of a processor"
-    return f"{took}; about {minutes:.1f} min for {'; '.join(names[1:])}"
 
 
 def _summary(solved: Solution, unit: str) -> str:

@@ -10,8 +10,8 @@ distribution (GUM 4.3.7).
 import io
 import json
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -43,8 +43,37 @@ MESH_ORDER = 2
 SOFTNESS = "softness of contacts"
 """What stiffer contacts refine."""
 
+SOFTNESS_TEXTS = {
+    -1: f",twice the {SOFTNESS}",
+    0: "",
+    1: f",half the {SOFTNESS}",
+}
+"""Text of the softness of a run."""
+
 MORE_CELLS = {Cloth: 4, SoftBody: 8}
 """Factor on the number of cells with half their edge; 2 for ropes and rods."""
+
+
+@dataclass(frozen=True)
+class Level:
+    """What a run refines.
+
+    Attributes:
+        step_s: Time step [s].
+        halvings: Number of halvings of the softness of contacts; -1 doubles it.
+        cell_m: Edge of the cells [m]; None if nothing has cells.
+    """
+
+    step_s: float
+    halvings: int
+    cell_m: float | None
+
+    def __str__(self) -> str:
+        """Return the settings in words, as `timestep_s=1/9000`."""
+        text = f"timestep_s=1/{1.0 / self.step_s:.6g}"
+        if self.cell_m:
+            text += f",cell_m={self.cell_m:.4g}"
+        return text + SOFTNESS_TEXTS[self.halvings]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -137,8 +166,18 @@ def solution(
     return Solution(mean=finest, uncertainty=uncertainty, orders=orders, width=width)
 
 
-def refinements(coarse: Result, scene: Scene) -> dict[str, list[dict[str, Any]]]:
-    """Return the settings of levels from coarse to fine, by what is refined; the last ones are of the finest run.
+def given_level(coarse: Result) -> Level:
+    """Return the level of a coarse run."""
+    step_s, cell_m = (coarse.settings.get(name) for name in ("timestep_s", "cell_m"))
+    if not step_s:
+        raise ParameterError(
+            f"backend {coarse.backend!r} has no setting timestep_s that can be refined: choose another one"
+        )
+    return Level(step_s, 0, cell_m)
+
+
+def refinements(coarse: Result, scene: Scene) -> dict[str, list[Level]]:
+    """Return the levels from coarse to fine, by what is refined; the last one is the finest run.
 
     Steps are refined with contacts that are half as soft, contacts at a quarter of the step, and cells with both.
 
@@ -146,28 +185,39 @@ def refinements(coarse: Result, scene: Scene) -> dict[str, list[dict[str, Any]]]
         coarse: The coarse run.
         scene: Its scene.
     """
-    step_s, cell_m = (coarse.settings.get(name) for name in ("timestep_s", "cell_m"))
-    if not step_s:
-        raise ParameterError(
-            f"backend {coarse.backend!r} has no setting timestep_s that can be refined: choose another one"
-        )
-    stiffer = softened(coarse, scene, halvings=1)
-    fixed = {**coarse.settings_given, **stiffer}
-    steps = [{**fixed, "timestep_s": step_s / parts} for parts in (1, 2, 4)]
+    given = given_level(coarse)
+    stiffest = 1 if softened(coarse, scene, halvings=1) else 0
+    steps = [
+        replace(given, step_s=given.step_s / parts, halvings=stiffest)
+        for parts in (1, 2, 4)
+    ]
     finest = steps[-1]
     levels = {"step": steps}
-    if stiffer:
-        softer = [softened(coarse, scene, halvings=power) for power in (-1, 0)]
-        levels[SOFTNESS] = [*({**finest, **values} for values in softer), finest]
+    if stiffest:
+        levels[SOFTNESS] = [replace(finest, halvings=power) for power in (-1, 0, 1)]
     if scene.deformables:
-        if not cell_m:
+        if not given.cell_m:
             names = ", ".join(body.name for body in scene.deformables)
             raise ParameterError(
                 f"{coarse.id}: the preset chooses the cells of {names}, so they cannot be halved: give their edge in "
                 "metres by --set cell_m=..."
             )
-        levels["cells"] = [finest, {**finest, "cell_m": cell_m / 2}]
+        levels["cells"] = [finest, replace(finest, cell_m=given.cell_m / 2)]
     return levels
+
+
+def settings_of(level: Level, coarse: Result, scene: Scene) -> dict[str, Any]:
+    """Return the settings of a level.
+
+    Args:
+        level: The level.
+        coarse: The coarse run.
+        scene: Its scene.
+    """
+    cells = {"cell_m": level.cell_m} if level.cell_m else {}
+    contacts = softened(coarse, scene, halvings=level.halvings)
+    step = {"timestep_s": level.step_s}
+    return {**coarse.settings_given, **step, **contacts, **cells}
 
 
 def softened(coarse: Result, scene: Scene, *, halvings: int) -> dict[str, Any]:
@@ -193,16 +243,15 @@ def softened(coarse: Result, scene: Scene, *, halvings: int) -> dict[str, Any]:
     return found
 
 
-def minutes(coarse: Result, scene: Scene, finer: Sequence[Mapping[str, Any]]) -> float:
-    """Return the estimated minutes of processor time of the finer runs."""
-    step_s, cell_m = coarse.settings["timestep_s"], coarse.settings.get("cell_m")
-    bodies = scene.deformables
+def minutes(coarse: Result, scene: Scene, levels: Iterable[Level]) -> float:
+    """Return the estimated minutes of processor time of the runs at some levels."""
+    given, bodies = given_level(coarse), scene.deformables
     more_cells = max((MORE_CELLS.get(type(body), 2) for body in bodies), default=1)
     parts = [
-        step_s
-        / values["timestep_s"]
-        * (1 if values.get("cell_m", cell_m) == cell_m else more_cells)
-        for values in finer
+        (1 if level.cell_m == given.cell_m else more_cells)
+        * given.step_s
+        / level.step_s
+        for level in levels
     ]
     return (coarse.cpu_s or 0.0) * sum(parts) / 60.0
 

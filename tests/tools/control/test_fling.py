@@ -6,8 +6,9 @@ from control_episodes import make, play
 
 from gauge_envs import load_experiment
 from gauge_envs.scene import GRAVITY_M_PER_S2
-from gauge_envs.tools.control.env import Ending, play_paid
+from gauge_envs.tools.control.env import play_paid
 from gauge_envs.tools.control.fling import FlingLimit
+from gauge_envs.tools.control.task import Ending
 
 TRAINING = {"preset": "training"}
 SPEED_LEFT, ROD_Y, ROD_SPEED = (

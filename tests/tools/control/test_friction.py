@@ -9,8 +9,8 @@ from control_episodes import FAST, by_law, make, play
 
 from gauge_envs.scene import GRAVITY_M_PER_S2
 from gauge_envs.scene.geometry import rotation_matrices
-from gauge_envs.tools.control.env import Ending
 from gauge_envs.tools.control.friction import HOLD_S, SLIP_SPEED_M_PER_S
+from gauge_envs.tools.control.task import Ending
 
 GOOD = (Ending.HELD, Ending.REACHED)
 WOOD = ("Turntable-Limit-wood", "SlopeSlider-Limit-wood")

@@ -5,7 +5,7 @@ import pytest
 from control_episodes import by_law, make
 
 from gauge_envs.scene import GRAVITY_M_PER_S2
-from gauge_envs.tools.control.env import Ending
+from gauge_envs.tools.control.task import Ending
 
 
 def test_pendulum_returns_at_most_one():

@@ -10,7 +10,7 @@ from places import ROOT
 from programs import printed
 
 from gauge_envs.scene import GRAVITY_M_PER_S2
-from gauge_envs.tools.control.env import Ending
+from gauge_envs.tools.control.task import Ending
 from gauge_envs.tools.control.throw import SPEED_M_PER_S, STROKE_M, highest_m
 
 THROW = "Throw-Limit-rubber"
