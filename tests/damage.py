@@ -50,7 +50,6 @@ from gauge_envs.tools.video.track import read_track
 
 ID = "SlopeSlider-2-wood"
 OWN = ROOT / "examples" / "own_experiment"
-SANITY = ROOT / "tests" / "tools" / "sanity" / "data"
 
 WRONG = (
     *(None, True, 0, -1, 1.5, 10**40, 1e308, "", "text", "\ud800", "a\0b", [], {}),
@@ -94,23 +93,6 @@ def cut(content, chance):
     return content[: chance.randrange(len(content))]
 
 
-def splice(content, chance):
-    """Replace a part by another part of any length."""
-    start, end, source = sorted(chance.randrange(len(content)) for _ in range(3))
-    part = content[source : source + chance.randint(0, 200)]
-    return content[:start] + part + content[min(end, start + 300) :]
-
-
-def overwrite(content, chance):
-    """Overwrite some bytes by special ones."""
-    damaged = bytearray(content)
-    for _ in range(chance.randint(1, 20)):
-        damaged[chance.randrange(len(damaged))] = chance.choice(
-            b'\0\xff\x80"[]{}<>,=\n'
-        )
-    return bytes(damaged)
-
-
 def word(content, chance):
     """Replace numbers or words by other texts."""
     places = [*re.finditer(rb"[-+.\w]+", content)]
@@ -121,20 +103,6 @@ def word(content, chance):
         text = chance.choice(WORDS).encode()
         content = content[: place.start()] + text + content[place.end() :]
     return content
-
-
-def swap(content, chance):
-    """Exchange, repeat or drop a line."""
-    lines = content.splitlines(keepends=True)
-    first, second = (chance.randrange(len(lines)) for _ in range(2))
-    kind = chance.randrange(3)
-    if kind == 0:
-        lines[first], lines[second] = lines[second], lines[first]
-    elif kind == 1:
-        lines.insert(second, lines[first])
-    else:
-        del lines[first]
-    return b"".join(lines)
 
 
 def nest(content, chance):
@@ -234,8 +202,8 @@ def npz_value(content, chance):
     return stream.getvalue()
 
 
-BINARY = (flips, flips, cut, splice, overwrite, void)
-TEXT = (*BINARY, word, word, word, swap, nest, encode)
+BINARY = (flips, flips, cut, void)
+TEXT = (*BINARY, word, word, word, nest, encode)
 
 
 def damaged(name, content, chance):

@@ -28,30 +28,8 @@ class Well(Engine):
     name = "well"
 
 
-class OtherName(Engine):
-    name = "another"
-
-
-class NoBackend:
-    name = "no-backend"
-
-
 def at_import():
     raise SystemExit(3)
-
-
-class Supports(Engine):
-    name = "supports"
-
-    def supports(self, scene):
-        raise ZeroDivisionError("mass of nothing")
-
-
-class SupportsExit(Engine):
-    name = "supports-exit"
-
-    def supports(self, scene):
-        sys.exit(4)
 
 
 class SupportsCrash(Engine):
@@ -131,19 +109,8 @@ def fails_on_contact(backend_name, fail):
 
 ContactCrash = fails_on_contact("contact-crash", segfault)
 ContactExit = fails_on_contact("contact-exit", lambda: sys.exit(5))
-ContactHardExit = fails_on_contact("contact-hard-exit", lambda: os._exit(6))
 ContactHang = fails_on_contact("contact-hang", lambda: time.sleep(1000))
 ContactGreedy = fails_on_contact("contact-greedy", lambda: (bytearray(10**9), time.sleep(1000)))
-
-
-class FallCrash(Engine):
-    name = "fall-crash"
-
-    def compiled(self, scene, *rest):
-        simulation = super().compiled(scene, *rest)
-        if any(body.name.startswith("ball") for body in scene.bodies):
-            simulation.__class__ = type("Dies", (SimulationMuJoCo,), {"advance": lambda self, seconds: segfault()})
-        return simulation
 
 
 Greedy = fails_on_plastic("greedy", lambda: (bytearray(10**9), time.sleep(1000)))
@@ -151,11 +118,7 @@ Greedy = fails_on_plastic("greedy", lambda: (bytearray(10**9), time.sleep(1000))
 
 BACKENDS = {
     "well": "Well",
-    "other-name": "OtherName",
-    "no-backend": "NoBackend",
     "at-import": "at_import",
-    "supports": "Supports",
-    "supports-exit": "SupportsExit",
     "supports-crash": "SupportsCrash",
     "supports-hang": "SupportsHang",
     "talking": "Talking",
@@ -165,10 +128,8 @@ BACKENDS = {
     "hard-exit": "HardExit",
     "hang": "Hang",
     "greedy": "Greedy",
-    "fall-crash": "FallCrash",
     "contact-crash": "ContactCrash",
     "contact-exit": "ContactExit",
-    "contact-hard-exit": "ContactHardExit",
     "contact-hang": "ContactHang",
     "contact-greedy": "ContactGreedy",
 }

@@ -7,6 +7,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.fixtures.parts import body, contact
+from gauge_envs.fixtures.recording import Recording
 from gauge_envs.scene import GRAVITY_M_PER_S2, Box, Motion, Plane, Pose, Scene
 
 FRICTION = 0.273673
@@ -70,3 +71,14 @@ def slide(engine, seconds, **settings):
     times_s = np.arange(len(along)) / 180
     acceleration = 2.0 * np.polyfit(times_s, along[:, 0], 2)[0]
     return acceleration / SLIDE_M_PER_S2, float(along[:, 2].max() - 0.025)
+
+
+def recording_of(scene, times_s, **moved):
+    """Return a recording in which bodies move by displacements [m], shape [sample_count, 3]; the others rest."""
+    states = {}
+    for part in scene.bodies:
+        rows = np.zeros((len(times_s), 13))
+        rows[:, :3] = part.pose.position_m + moved.get(part.name, np.zeros(3))
+        rows[:, 3:7] = part.pose.quaternion
+        states[part.name] = rows
+    return Recording(scene=scene, times_s=times_s, states=states)

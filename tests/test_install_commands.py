@@ -141,15 +141,3 @@ def test_a_page_names_the_extras_that_its_commands_need():
         )
     ]
     assert missing == []
-
-
-def test_every_rule_is_of_use():
-    used = {id(TABLE.rule(command.page, command.text)) for command in COMMANDS}
-    assert [rule["command"] for rule in TABLE.rules if id(rule) not in used] == []
-
-
-def test_every_environment_of_the_table_is_defined():
-    named = {rule["environment"] for rule in TABLE.rules if "environment" in rule}
-    named |= set(TABLE.page_environments.values()) | set(TABLE.scripts.values())
-    assert named <= set(TABLE.environments)
-    assert all(("skip" in rule) != ("environment" in rule) for rule in TABLE.rules)

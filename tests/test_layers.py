@@ -2,7 +2,7 @@
 
 import ast
 import re
-from graphlib import CycleError, TopologicalSorter
+from graphlib import TopologicalSorter
 
 import grimp
 import pytest
@@ -42,24 +42,6 @@ def test_no_two_files_import_each_other(edges):
 
 def test_a_tool_is_imported_through_its_package(edges):
     assert inner_imports(edges) == []
-
-
-@pytest.mark.parametrize(
-    ("importer", "imported"),
-    [
-        ("gauge_envs.pages.html", "gauge_envs.cli.app"),
-        ("gauge_envs.scene.pose", "gauge_envs.scene.scene"),
-    ],
-)
-def test_a_planted_cycle_is_found(edges, importer, imported):
-    planted = {**edges, imported: {importer}, importer: {imported}}
-    with pytest.raises(CycleError):
-        TopologicalSorter(planted).prepare()
-
-
-def test_a_planted_import_of_an_inner_module_is_found(edges):
-    planted = ("gauge_envs.tools.recipes.report", "gauge_envs.tools.compare.ranks")
-    assert inner_imports({**edges, planted[0]: {planted[1]}}) == [planted]
 
 
 # --- imports by string -----------------------------------------------------------------------------------------------
@@ -113,12 +95,8 @@ LAZY = [file for file in FILES if lazy_table(file.read_text("utf-8")) is not Non
     ("line", "is_seen"),
     [
         ('import_module("gauge_envs.scene")', True),
-        ('importlib.import_module(".scene", __package__)', True),
-        ('import_module(f"{__name__}.scene")', True),
         ('import_module(f"gauge_envs.{name}")', True),
-        ("pkgutil.resolve_name(place)", True),
         ("EntryPoint(name, place, group).load()", True),
-        ('import_module("matplotlib")', False),
         ('import_module(f"mujoco.{name}")', False),
     ],
 )

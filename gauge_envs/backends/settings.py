@@ -57,6 +57,9 @@ Settings = TypeVar("Settings", bound=SteppedSettings)
 def read_presets(module: str, group: str = "presets") -> dict[str, dict[str, Any]]:
     """Return the settings of each preset in the `presets.toml` next to an engine's module, by name of the preset.
 
+    A preset is a table, whose comment has the reasons for its numbers. `steps_per_s` is one over `timestep_s`, `like`
+    names a preset above whose values it takes, and `unset` lists settings that are None.
+
     Args:
         module: Path of the module.
         group: First part of the names of the tables.

@@ -164,7 +164,7 @@ class GaugeEnv(GuardedEnv, gymnasium.Env[Observation, Any]):
         self.seed_used: int | None = None
         self.action_space = action_space_of(self.experiment)
         self.observation_space = observation_space_of(self.experiment)
-        self._is_closed = False
+        self._name = self.experiment.id
 
     @property
     def band(self) -> Band | None:
@@ -274,8 +274,8 @@ class GaugeEnv(GuardedEnv, gymnasium.Env[Observation, Any]):
     @one_thread
     def close(self) -> None:
         """Free the simulation and the renderer. A second call does nothing."""
-        if not self._is_closed:
-            self._is_closed = True
+        if not self.closed:
+            self.closed = True
             self._pictures.close()
             self.rollout.simulation.close()
 
@@ -283,14 +283,3 @@ class GaugeEnv(GuardedEnv, gymnasium.Env[Observation, Any]):
         """Draw the current frame in the window if there is one."""
         if self.render_mode == "human":
             self.render()
-
-    def _check_open(self, call: str) -> None:
-        if self._is_closed:
-            raise EpisodeError(
-                f"{self.experiment.id}: {call} after close; make the environment again"
-            )
-
-    def _check_started(self, call: str) -> None:
-        self._check_open(call)
-        if not self.rollout.has_begun:
-            raise EpisodeError(f"{self.experiment.id}: call reset before {call}")

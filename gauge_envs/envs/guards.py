@@ -6,9 +6,12 @@ import functools
 import inspect
 import threading
 from collections.abc import Callable
-from typing import Any, NoReturn, Self, TypeVar, cast
+from typing import TYPE_CHECKING, Any, NoReturn, Self, TypeVar, cast
 
 from gauge_envs.errors import EpisodeError, GaugeError, UnknownNameError
+
+if TYPE_CHECKING:
+    from gauge_envs.envs.rollout import Rollout
 
 Call = TypeVar("Call", bound=Callable[..., Any])
 
@@ -16,10 +19,17 @@ Call = TypeVar("Call", bound=Callable[..., Any])
 class GuardedEnv:
     """Base of the environments; an engine's memory allows neither copies nor two threads.
 
+    Attributes:
+        rollout: The current episodes.
+        closed: Whether the environment is closed.
+
     Raises:
         UnknownNameError: There is no such argument.
     """
 
+    rollout: Rollout
+    closed: bool = False
+    _name: str
     _turn: threading.RLock
 
     def __new__(cls, *_: Any, **arguments: Any) -> Self:
@@ -43,6 +53,17 @@ class GuardedEnv:
         raise GaugeError(
             f"{type(self).__name__} cannot be copied or pickled: make it again with gymnasium.make(env.spec)"
         )
+
+    def _check_open(self, call: str) -> None:
+        if self.closed:
+            raise EpisodeError(
+                f"{self._name}: {call} after close; make the environment again"
+            )
+
+    def _check_started(self, call: str) -> None:
+        self._check_open(call)
+        if not self.rollout.has_begun:
+            raise EpisodeError(f"{self._name}: call reset before {call}")
 
 
 def one_thread(call: Call) -> Call:

@@ -61,7 +61,7 @@ def _reason(name: str, column: int, state: FloatArray) -> str:
 
 def spans_m(nodes_m: FloatArray) -> FloatArray:
     """Return the diagonals of the boxes around nodes [m], shape [N], from shape [N, node_count, 3]."""
-    return np.asarray(np.linalg.norm(np.ptp(nodes_m, axis=1), axis=-1))
+    return np.linalg.norm(np.ptp(nodes_m, axis=1), axis=-1)
 
 
 def diverged_nodes(name: str, nodes_m: FloatArray, rest_m: float) -> dict[int, str]:

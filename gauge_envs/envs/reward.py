@@ -30,7 +30,6 @@ class Reward:
         self._is_bounded = is_bounded
         self._has_points = band.points is not None
         terms = reward_terms(band, is_bounded=is_bounded)
-        assert terms is not None
         self._projection, self._mean, self._weight = terms
         width = len(self._projection)
         self._is_projected = not np.array_equal(self._projection, np.eye(width))
@@ -52,27 +51,23 @@ class Reward:
         deviation = np.abs(g - self._mean[frames])
         distance = (deviation * self._weight[frames]).sum(axis=1)
         if self._is_bounded:
-            return np.asarray(1.0 / (1.0 + distance) - 1.0)
+            return 1.0 / (1.0 + distance) - 1.0
         return -distance
 
 
 def reward_terms(
-    band: Band | None, *, is_bounded: bool = False
-) -> tuple[FloatArray, FloatArray, FloatArray] | None:
-    """Return projection, mean and weights of `Band.compared`; None without a band.
+    band: Band, *, is_bounded: bool
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return projection, mean and weights of `Band.compared`.
 
     |deviation| @ weight is the mean of |z| over known coordinates. z is the deviation over the larger of sigma and the
     uncertainty of the mean. For a bounded reward, the divisor is at least the size of the motion. Actions move a cloth
     by its whole motion, and a smaller divisor would give a distant policy no gradient.
     """
-    if band is None:
-        return None
     band = band.compared
-    scale = (
-        band.sigma
-        if band.uncertainty is None
-        else np.fmax(band.sigma, band.uncertainty)
-    )
+    scale = band.sigma
+    if band.uncertainty is not None:
+        scale = np.fmax(scale, band.uncertainty)
     if is_bounded:
         scale = np.fmax(scale, motion_size(band))
     usable = band.measured[:, None] & (scale > 0.0) & np.isfinite(band.mean)
@@ -97,10 +92,10 @@ def reward_text(band: Band | None, *, is_bounded: bool = False) -> str:
         band: Reference of the rewards, or None.
         is_bounded: Whether the reward is bounded, see `is_reward_bounded`.
     """
-    terms = reward_terms(band, is_bounded=is_bounded)
-    if band is None or terms is None:
+    if band is None:
         return "0 at every frame: there is no reference in use"
-    known = np.flatnonzero(terms[2].any(axis=1))
+    _, _, weight = reward_terms(band, is_bounded=is_bounded)
+    known = np.flatnonzero(weight.any(axis=1))
     if not len(known):
         return "0 at every frame: the reference has no scatter"
     span = (
@@ -110,11 +105,9 @@ def reward_text(band: Band | None, *, is_bounded: bool = False) -> str:
         span = f"{len(known)} of the {span}"
     elsewhere = "" if len(known) == len(band.mean) else "; else 0"
     compared = band.compared
-    names = (
-        compared.coordinates
-        if len(compared.coordinates) < 4
-        else (f"{len(compared.coordinates)} coordinates",)
-    )
+    names = compared.coordinates
+    if len(names) > 3:
+        names = (f"{len(names)} coordinates",)
     scale = "sigma"
     sign = "-z / (1 + z) with z =" if is_bounded else "minus"
     if band.points is not None:

@@ -21,7 +21,7 @@ from gauge_envs.scene.states import nominal_states, row_of
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.scoring.reference import driven_trials_file
 
-DIFFERENCE_PER_FRAME = (-1.5, 2.0, -0.5)
+START_RATES_HZ = FRAME_RATE_HZ * np.array([-1.5, 2.0, -0.5])
 """Weights of the first three frames in the initial velocity, exact for a constant acceleration."""
 
 
@@ -178,12 +178,7 @@ def _first_rotations(
         mean = Rotation.from_quat(quaternions[known, 0, index]).mean()
         frames = Rotation.from_quat(quaternions[trial, :, index])
         turned = (frames * frames[0].inv()).as_rotvec()
-        rotations.append(
-            (
-                frames[0] * mean.inv(),
-                FRAME_RATE_HZ * np.asarray(DIFFERENCE_PER_FRAME) @ turned,
-            )
-        )
+        rotations.append((frames[0] * mean.inv(), START_RATES_HZ @ turned))
     return rotations
 
 
@@ -205,7 +200,7 @@ def _move(
         rotation: Its rotation from the mean start.
         spin: Its angular velocity [rad/s].
     """
-    velocity = FRAME_RATE_HZ * np.asarray(DIFFERENCE_PER_FRAME) @ positions_m
+    velocity = START_RATES_HZ @ positions_m
     shift = positions_m[0] - state[:3]
     if not isinstance(body.shape, Sphere):
         shift, velocity = across(shift, blocked), across(velocity, blocked)
@@ -225,7 +220,7 @@ def _about(rotation: Rotation, axis: FloatArray) -> Rotation:
 
 def _swing(state: FloatArray, joint: Hinge | Tether, positions_m: FloatArray) -> None:
     """Rotate a state about its joint towards the first recorded position, with the recorded velocity along the arc."""
-    velocity = FRAME_RATE_HZ * np.asarray(DIFFERENCE_PER_FRAME) @ positions_m
+    velocity = START_RATES_HZ @ positions_m
     anchor = np.asarray(joint.anchor_m)
     arm, recorded = state[:3] - anchor, positions_m[0] - anchor
     if isinstance(joint, Hinge):

@@ -28,7 +28,6 @@ from gauge_envs.envs.arguments import (
 from gauge_envs.envs.guards import GuardedEnv, one_thread
 from gauge_envs.envs.initial_states import Draw, InitialStates, Scatter
 from gauge_envs.envs.pictures import WORLDS_RENDER_MODES, Pictures, rollout_picture
-from gauge_envs.envs.rollout import Rollout
 from gauge_envs.envs.spaces import (
     Observation,
     action_space_of,
@@ -74,9 +73,7 @@ class WorldsEnv(GuardedEnv, VectorEnv[Any, Any, NDArray[Any]], ABC):
             worlds, shape [N], and returns entries of `infos`.
     """
 
-    rollout: Rollout
     on_end: Callable[[BoolArray], dict[str, Any]] | None = None
-    _name: str
     _pictures: Pictures
     _initial_states: InitialStates
 
@@ -300,17 +297,6 @@ class WorldsEnv(GuardedEnv, VectorEnv[Any, Any, NDArray[Any]], ABC):
         """Free the worlds and the renderer."""
         self._pictures.close()
         self.rollout.simulation.close()
-
-    def _check_open(self, call: str) -> None:
-        if self.closed:
-            raise EpisodeError(
-                f"{self._name}: {call} after close; make the environment again"
-            )
-
-    def _check_started(self, call: str) -> None:
-        self._check_open(call)
-        if not self.rollout.has_begun:
-            raise EpisodeError(f"{self._name}: call reset before {call}")
 
 
 class GaugeVectorEnv(WorldsEnv, VectorEnv[Any, Any, NDArray[Any]]):

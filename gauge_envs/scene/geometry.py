@@ -81,15 +81,13 @@ class Pose:
     def relative_to(self, other: Pose) -> Pose:
         """Return this pose in the frame of another one."""
         rotation = other.rotation.inv() * self.rotation
-        return Pose.from_rotation(
-            vector(other.to_body(np.asarray(self.position_m))), rotation
-        )
+        return Pose.from_rotation(vector(other.to_body(self.position_m)), rotation)
 
-    def to_world(self, points_m: FloatArray) -> FloatArray:
+    def to_world(self, points_m: ArrayLike) -> FloatArray:
         """Return body-frame points [m], shape [..., 3], in world coordinates."""
         return np.asarray(points_m) @ self.matrix.T + np.asarray(self.position_m)
 
-    def to_body(self, points_m: FloatArray) -> FloatArray:
+    def to_body(self, points_m: ArrayLike) -> FloatArray:
         """Return world points [m], shape [..., 3], in body coordinates."""
         return (np.asarray(points_m) - np.asarray(self.position_m)) @ self.matrix
 

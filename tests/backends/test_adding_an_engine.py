@@ -368,31 +368,6 @@ def test_a_missing_method_is_named():
 # --- driven motion and strings ---------------------------------------------------------------------------------------
 
 
-def test_mean_velocities_follow_a_driven_motion_exactly():
-    start = Pose.from_euler_deg((0.1, 0.2, 0.3), (20.0, -30.0, 40.0))
-    rates = np.array([0.3, -0.1, 0.2, 1.0, 2.0, -1.5])
-    acceleration = np.array([2.0, 1.0, -3.0, 40.0, -10.0, 20.0])
-    row = np.hstack([start.position_m, start.quaternion, rates, acceleration])
-    seconds, count = 1 / 180, 4
-    travel = rates * seconds + 0.5 * acceleration * seconds**2
-    (later,) = later_targets(row[None], seconds)
-    end = Pose.of_state(later)
-    turned = Rotation.from_rotvec(travel[3:]) * start.rotation
-    assert end.position_m == pytest.approx(start.position_m + travel[:3], abs=1e-15)
-    assert (end.rotation * turned.inv()).magnitude() < 1e-14
-    assert later[7:13] == pytest.approx(rates + acceleration * seconds)
-    position, rotation = np.asarray(start.position_m), start.rotation
-    poses, velocities = motion_steps(row, seconds / count, count)
-    for pose, velocity in zip(poses, velocities, strict=True):
-        assert pose[:3] == pytest.approx(position, abs=1e-15)
-        reached = Rotation.from_quat(pose[3:], scalar_first=True)
-        assert (reached * rotation.inv()).magnitude() < 1e-14
-        position = position + velocity[:3] * seconds / count
-        rotation = Rotation.from_rotvec(velocity[3:] * seconds / count) * rotation
-    assert position == pytest.approx(end.position_m, abs=1e-15)
-    assert (rotation * end.rotation.inv()).magnitude() < 1e-14
-
-
 def string_of_a_bar(low_m):
     """Return the spring of a string of 0.3 m at the origin of a thin bar of 0.1 kg along x from `low_m` to +0.12 m."""
     corners = tuple(
@@ -429,3 +404,28 @@ def test_a_string_is_a_critically_damped_spring_that_only_pulls():
     assert pull(1.19, -0.2) == pytest.approx([0.0, 0.0, expected], rel=1e-9)
     assert pull(1.21, -0.6) is None
     assert pull(1.19, 0.6) is None
+
+
+def test_mean_velocities_follow_a_driven_motion_exactly():
+    start = Pose.from_euler_deg((0.1, 0.2, 0.3), (20.0, -30.0, 40.0))
+    rates = np.array([0.3, -0.1, 0.2, 1.0, 2.0, -1.5])
+    acceleration = np.array([2.0, 1.0, -3.0, 40.0, -10.0, 20.0])
+    row = np.hstack([start.position_m, start.quaternion, rates, acceleration])
+    seconds, count = 1 / 180, 4
+    travel = rates * seconds + 0.5 * acceleration * seconds**2
+    (later,) = later_targets(row[None], seconds)
+    end = Pose.of_state(later)
+    turned = Rotation.from_rotvec(travel[3:]) * start.rotation
+    assert end.position_m == pytest.approx(start.position_m + travel[:3], abs=1e-15)
+    assert (end.rotation * turned.inv()).magnitude() < 1e-14
+    assert later[7:13] == pytest.approx(rates + acceleration * seconds)
+    position, rotation = np.asarray(start.position_m), start.rotation
+    poses, velocities = motion_steps(row, seconds / count, count)
+    for pose, velocity in zip(poses, velocities, strict=True):
+        assert pose[:3] == pytest.approx(position, abs=1e-15)
+        reached = Rotation.from_quat(pose[3:], scalar_first=True)
+        assert (reached * rotation.inv()).magnitude() < 1e-14
+        position = position + velocity[:3] * seconds / count
+        rotation = Rotation.from_rotvec(velocity[3:] * seconds / count) * rotation
+    assert position == pytest.approx(end.position_m, abs=1e-15)
+    assert (rotation * end.rotation.inv()).magnitude() < 1e-14

@@ -141,11 +141,6 @@ def test_measured_stiffnesses_come_back_or_are_named_lost(
     assert bent == pytest.approx(bend, rel=1e-9)
 
 
-def test_a_loss_has_both_values_and_their_ratio():
-    (loss,) = pbd_constants(fabric()).lost
-    assert loss == "shear: no such constant, 150 N/m instead of 120 (+25%)"
-
-
 def membrane(energy, step=1e-4):
     """Return the uniaxial and shear stiffness of an energy per area of (strain xx, strain yy, engineering shear)."""
     hessian = np.empty((3, 3))

@@ -15,7 +15,6 @@ from rigid import (
     states,
     target,
 )
-from scipy.spatial.transform import Rotation
 
 from gauge_envs import load_experiment
 from gauge_envs.backends import backend
@@ -24,8 +23,6 @@ from gauge_envs.fixtures.parts import contact
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2,
     Box,
-    ConvexUnion,
-    Cylinder,
     Motion,
     Pose,
     Sphere,
@@ -36,7 +33,6 @@ pytest.importorskip("pydrake")
 from pydrake.multibody.plant import DiscreteContactApproximation
 
 from gauge_envs.backends.drake.contacts import PHASES, impact_constants, rebound
-from gauge_envs.backends.drake.model import inner_radius_m
 from gauge_envs.backends.drake.settings import impact_speed_m_per_s
 
 DRAKE = backend("drake")
@@ -210,31 +206,7 @@ def test_a_driven_plate_of_huge_mass_carries_nothing():
 # --- shapes, presets and versions ------------------------------------------------------------------------------------
 
 
-def sinking_corner_mm(preset):
-    """Return how deep a cube of 105 mm sinks in that strikes on one corner, without friction."""
-    start = {
-        "cube.position_m": (0.0, 0.0, 0.2),
-        "cube.euler_deg": (35.0, 25.0, 0.0),
-        "cube.friction": 0.0,
-        "cube.restitution": 0.5,
-    }
-    scene = load_experiment("CubeToss-acrylic", start).scene
-    rows = states(DRAKE, scene, ["cube"], 0.2, interval_s=1 / 540, preset=preset)[:, 0]
-    rotations = Rotation.from_quat(rows[:, 3:7], scalar_first=True)
-    corners_m = scene.body("cube").shape.corners_m
-    below_m = [rotation.apply(corners_m)[:, 2].min() for rotation in rotations]
-    return -1e3 * float((below_m + rows[:, 2]).min())
-
-
 @pytest.mark.skipif(HAS_TAMSI, reason="this Drake has TAMSI")
 def test_an_approximation_that_drake_lacks_is_an_error():
     with pytest.raises(ParameterError, match="sap, similar, lagged"):
         DRAKE.build(load_experiment("SlopeSlider-2-wood").scene, {"preset": "tamsi"})
-
-
-def test_the_inner_radius_of_a_solid():
-    box = Box(size_m=(0.1, 0.04, 0.06))
-    union = ConvexUnion(pieces_m=(tuple(map(tuple, box.corners_m.tolist())),))
-    assert inner_radius_m(box) == pytest.approx(0.02)
-    assert inner_radius_m(union) == pytest.approx(0.02)
-    assert inner_radius_m(Cylinder(radius_m=0.03, length_m=0.1)) == pytest.approx(0.03)

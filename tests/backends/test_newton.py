@@ -53,6 +53,7 @@ def test_a_tower_sinks_by_the_compliance_of_its_contacts(count, preset, impedanc
     assert sink_m == pytest.approx(depth_m * count**2 / 4, rel=0.02)
 
 
+@pytest.mark.slow
 def test_stiff_contacts_make_a_cube_hop_and_slide_too_far_in_single_precision():
     stiff = {"sustained_solimp": (0.95, 0.95, 0.001), "impratio": 10.0}
     name = "SlopeSlider-3-wood"

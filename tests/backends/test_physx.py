@@ -5,17 +5,15 @@ Expected values follow from Coulomb's law and Newton's rule of impact; Isaac Sim
 
 from contextlib import closing
 from dataclasses import replace
-from itertools import combinations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
 from rigid import plane_deg, scene_of, solid, states, target
 from scipy.spatial.transform import Rotation
 
 from gauge_envs import load_experiment, reference_band, score_trajectory
 from gauge_envs.backends import backend
-from gauge_envs.backends.physx.contacts import constants_of, groups_of_bodies
+from gauge_envs.backends.physx.contacts import constants_of
 from gauge_envs.errors import BackendError
 from gauge_envs.fixtures.parts import ball, contact
 from gauge_envs.references.published import published_baselines
@@ -46,40 +44,6 @@ INTERVAL_S = 1 / 180
 
 
 # --- materials -------------------------------------------------------------------------------------------------------
-
-NAMES = "abcde"
-GROUPS = st.sets(st.sampled_from(NAMES), min_size=1).map(sorted).map(tuple)
-ROWS = st.tuples(
-    GROUPS, GROUPS, st.sampled_from([0.0, 0.2, 0.7]), st.sampled_from([0.0, 0.5])
-)
-
-
-@settings(max_examples=50)
-@given(st.lists(ROWS, max_size=6))
-def test_bodies_touch_only_with_the_constants_of_their_contact(rows):
-    """Shapes collide by SAPIEN's documented rule: a bit of one's first word is in the other's second word."""
-    bodies = [ball(name, (0, 0, 1)) for name in NAMES]
-    contacts, expected = [], {}
-    for first, second, friction, restitution in rows:
-        touch = contact(first, second, friction=friction, restitution=restitution)
-        scene = scene_of(*bodies, contacts=(touch,))
-        pairs = {frozenset(pair) for pair in scene.colliding_pairs(touch)}
-        if not pairs & expected.keys():
-            contacts.append(touch)
-            expected |= {pair: {(friction, restitution)} for pair in pairs}
-    scene = scene_of(*bodies, contacts=tuple(contacts))
-    groups = groups_of_bodies(scene, sustained_restitution=False)
-    met = {}
-    for name, partner in combinations(NAMES, 2):
-        for constants, (first, second, _, number) in groups[name].items():
-            for partner_constants, (third, fourth, _, other_number) in groups[
-                partner
-            ].items():
-                if number == other_number and (first & fourth or third & second):
-                    # The mean of equal values is exact.
-                    assert constants == partner_constants
-                    met.setdefault(frozenset((name, partner)), set()).add(constants)
-    assert met == expected
 
 
 def test_a_sustained_contact_has_no_restitution_unless_the_setting_keeps_it():

@@ -13,10 +13,7 @@ from rigid import plane_deg, scene_of, solid, states, target
 from gauge_envs import load_experiment
 from gauge_envs.backends import backend
 from gauge_envs.backends.pybullet.contacts import (
-    impact_bodies,
     moved_values,
-    pushing_bodies,
-    surfaces,
 )
 from gauge_envs.backends.pybullet.settings import settings_for
 from gauge_envs.errors import UnsupportedSceneError
@@ -60,62 +57,6 @@ def test_a_pair_of_value_zero_has_a_millionth_if_its_bodies_have_other_pairs():
     assert values["one"] * values["two"] <= 1.000001e-6
     pairs = {("cube", "brick"): 0.0, ("cube", "ground"): 0.25}
     assert moved_values(pairs, {"ground"}, "restitution") == {"brick": 0.0, "cube": 1.0}
-
-
-BODIES = (
-    ball("one", (0.0, 0.0, 0.0)),
-    ball("two", (0.0, 0.0, 0.0)),
-    fixed_box("board", (0.0, 0.0, 0.0), (1.0,) * 3),
-    fixed_box("ground", (0.0, 0.0, 0.0), (1.0,) * 3),
-    driven_box("bar", (0.0, 0.0, 0.0), (1.0,) * 3),
-)
-
-
-def test_bodies_that_contacts_do_not_move_get_a_copy_for_each_surface():
-    frictions = {
-        ("one", "two"): 0.5,
-        ("one", "board"): 0.1,
-        ("two", "board"): 0.9,
-        ("one", "bar"): 0.3,
-        ("two", "bar"): 0.3,
-    }
-    contacts = tuple(contact(*pair, friction=mu) for pair, mu in frictions.items())
-    surfaces_by_name = surfaces(scene_of(*BODIES, contacts=contacts))
-    assert [len(surfaces_by_name[name]) for name in ("one", "two")] == [1, 1]
-    assert len(surfaces_by_name["board"]) + len(surfaces_by_name["bar"]) <= 4
-    for (name, partner), friction in frictions.items():
-        (first,) = [
-            mu for (mu, _), names in surfaces_by_name[name].items() if partner in names
-        ]
-        (second,) = [
-            mu for (mu, _), names in surfaces_by_name[partner].items() if name in names
-        ]
-        assert first * second == pytest.approx(friction, rel=1e-9)
-
-
-@pytest.mark.parametrize(
-    ("name", "late"),
-    [
-        ("BouncingBall-rubber", {"ball", "ground"}),
-        ("SlopeSlider-1-wood", {"ground"}),
-        ("WallBreaking-wood", {"ball"}),
-    ],
-)
-def test_each_impact_has_a_late_body_and_sustained_pairs_have_few(name, late):
-    assert impact_bodies(load_experiment(name).scene) == late
-
-
-def test_fixed_and_driven_bodies_that_touch_one_body_together_need_the_cone():
-    def pushing(*pairs, impact=()):
-        contacts = [contact(*pair, friction=0.3) for pair in pairs]
-        contacts += [contact(*pair, friction=0.3, restitution=0.2) for pair in impact]
-        return pushing_bodies(scene_of(*BODIES, contacts=tuple(contacts)))
-
-    both = ("one", "board"), ("one", "bar")
-    assert pushing(*both, impact=[("one", "ground")]) == {"board", "bar"}
-    assert pushing(*both, impact=[("two", "bar")]) == {"board"}
-    assert pushing(("one", "board"), ("two", "bar")) == set()
-    assert pushing(("one", "board"), ("one", "two")) == set()
 
 
 def test_the_step_of_foam_is_below_the_time_of_a_wave_through_a_tetrahedron():

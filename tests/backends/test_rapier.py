@@ -4,8 +4,6 @@ Expected values follow from Coulomb's law, Newton's rule of impact, and the ener
 """
 
 import multiprocessing
-from dataclasses import replace
-from itertools import permutations
 
 import numpy as np
 import pytest
@@ -20,7 +18,6 @@ from gauge_envs.tools.conformance import run_checks
 pytest.importorskip("rapier3d")
 
 from gauge_envs.backends.rapier import model
-from gauge_envs.backends.rapier.contacts import collider_layers
 from gauge_envs.backends.rapier.settings import PRESETS
 
 RAPIER = backend("rapier")
@@ -135,38 +132,6 @@ def test_impulse_hinges_lose_energy_in_the_stabilization():
 
 
 # --- pairs, settings and forks ---------------------------------------------------------------------------------------
-
-
-def test_bodies_have_a_collider_for_each_contact_and_meet_only_its_other_side():
-    """Rapier ignores pairs of colliders of one body."""
-    names = ("a", "b", "c")
-    sustained = replace(contact(("b", "c"), "ground", friction=0.7), restitution=0.5)
-    contacts = (
-        contact(("a", "b"), ("a", "b"), friction=0.1, restitution=0.5),
-        sustained,
-        contact("c", "a", friction=0.4, restitution=0.2),
-    )
-    bodies = (ball(name, (0.0, 0.0, 0.0)) for name in names)
-    scene = scene_of(*bodies, GROUND, contacts=contacts)
-    layers = collider_layers(scene)
-    listed = {
-        frozenset(pair): [
-            (touch.friction, 0.0 if touch is sustained else touch.restitution)
-        ]
-        for touch in contacts
-        for pair in scene.colliding_pairs(touch)
-    }
-    for name, partner in permutations([*names, "ground"], 2):
-        met = []
-        for mine in layers[name]:
-            for theirs in layers[partner]:
-                if mine.memberships & theirs.filter and (
-                    theirs.memberships & mine.filter
-                ):
-                    assert mine.restitution == theirs.restitution
-                    assert mine.friction == theirs.friction
-                    met.append((mine.friction, mine.restitution))
-        assert met == listed.get(frozenset((name, partner)), [])
 
 
 def test_each_setting_reaches_the_engine():

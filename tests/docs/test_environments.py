@@ -1,7 +1,6 @@
 """Pages of families and `gauge show`: they have every id, fit the screen, and describe the environments."""
 
 import json
-import re
 
 import gymnasium
 import numpy as np
@@ -9,13 +8,11 @@ import pytest
 from places import ROOT
 from typer.testing import CliRunner
 
-from gauge_envs import load_experiment
 from gauge_envs.cli.app import app
 from gauge_envs.envs.env import GaugeEnv
-from gauge_envs.envs.reward import reward_text
 from gauge_envs.experiments.variants import beyond_variants, matching_variants, variants
 from gauge_envs.tools.catalog.description import all_limits
-from gauge_envs.tools.catalog.spaces import action_rows, observation_rows
+from gauge_envs.tools.catalog.spaces import observation_rows
 from gauge_envs.tools.control import names
 from scripts.environment_page import note_of
 
@@ -93,50 +90,6 @@ def test_rows_of_spaces_describe_observations(name):
     }
     assert named == {key: values.shape[-1] for key, values in observation.items()}
     env.close()
-
-
-@pytest.mark.parametrize("name", ["Turntable-1-wood", "StickStack-soft"])
-def test_an_action_moves_as_its_row_says(name):
-    """An action of 1 for one frame of 1/30 s adds a thirtieth of the given rate."""
-    experiment = load_experiment(name)
-    (row,) = action_rows(experiment)
-    match = re.fullmatch(r"times ([\d.]+) (m/s|deg/s)", row["unit"])
-    ends = []
-    for action in (0.0, 1.0):
-        env = GaugeEnv(name)
-        env.reset(seed=0)
-        observation, *_ = env.step(np.array([action]))
-        ends.append(observation["driver"][0])
-        env.close()
-    if match[2] == "m/s":
-        moved = float(np.linalg.norm(ends[1][:3] - ends[0][:3]))
-    else:
-        moved = np.rad2deg(
-            2.0 * np.arccos(min(abs(float(ends[0][3:7] @ ends[1][3:7])), 1.0))
-        )
-    assert moved == pytest.approx(float(match[1]) / 30.0, rel=1e-3)
-
-
-@pytest.mark.parametrize(
-    "name", ["SlopeSlider-2-wood", "SlopeContact-wood", "WallBreaking-wood"]
-)
-def test_rewards_are_where_their_sentence_says(name):
-    env = GaugeEnv(name)
-    text = reward_text(env.band)
-    match = re.search(r"at frames (\d+) to (\d+) of (\d+)", text)
-    env.reset(seed=0)
-    rewarded = []
-    # Without a reference all frames are alike.
-    for frame in range(1, min(env.experiment.frame_count, 30 if match else 4)):
-        if env.step(0)[1] != 0.0:
-            rewarded.append(frame)
-    env.close()
-    if match is None:
-        assert text.startswith("0 at every frame") and rewarded == []
-    else:
-        first, last, count = map(int, match.groups())
-        assert rewarded == list(range(max(first, 1), last + 1))
-        assert count == env.experiment.frame_count
 
 
 # --- limits ----------------------------------------------------------------------------------------------------------

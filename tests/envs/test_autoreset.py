@@ -6,6 +6,7 @@ Worlds diverge by a kick, end early by their task, reach their last frame togeth
 import gymnasium
 import numpy as np
 import pytest
+from episodes import assert_same
 from gymnasium.vector import AutoresetMode
 
 from gauge_envs.backends.mujoco import BackendMuJoCo
@@ -35,41 +36,7 @@ def single_envs(name, mode, **options):
     )
 
 
-def assert_same(found, expected):
-    """Compare observations, arrays of rewards and flags, and nested infos with their masks."""
-    if isinstance(expected, dict):
-        keys = {key for key in expected if not key.startswith("_")}
-        assert {key for key in found if not key.startswith("_")} == keys
-        for key in keys:
-            worlds = expected.get(f"_{key}", np.ones(COUNT, dtype=bool))
-            if f"_{key}" in expected:
-                assert found[f"_{key}"].tolist() == worlds.tolist()
-            if isinstance(expected[key], dict):
-                assert_same(found[key], expected[key])
-                continue
-            for one, other in zip(
-                found[key][worlds], expected[key][worlds], strict=True
-            ):
-                assert_value(one, other)
-    else:
-        assert_value(found, expected)
-
-
-def assert_value(found, expected):
-    if isinstance(expected, dict):
-        for key, value in expected.items():
-            assert_value(found[key], value)
-    elif isinstance(expected, str) or expected is None:
-        assert found == expected
-    elif hasattr(expected, "ending"):
-        assert found.ending == expected.ending
-        assert found.reached == pytest.approx(expected.reached, abs=1e-9)
-        assert vars(found.limit) == pytest.approx(vars(expected.limit))
-    else:
-        np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9)
-
-
-def compare(name, mode, steps, *, kicks=(), size=1.0, **options):
+def compare(name, mode, steps, *, kicks=(), **options):
     """Step both with the same actions; `kicks` gives (step, world) of a speed at which the simulation diverges.
 
     Returns:
@@ -87,8 +54,6 @@ def compare(name, mode, steps, *, kicks=(), size=1.0, **options):
                 alone = singles.envs[world].unwrapped.rollout.simulation.data
                 batch.qvel[0] = alone.qvel[0] = 900.0
         actions = space.sample()
-        if hasattr(space, "high"):
-            actions = np.float32(size) * actions
         ours, theirs = envs.step(actions), singles.step(actions)
         for one, other in zip(ours, theirs, strict=True):
             assert_same(one, other)

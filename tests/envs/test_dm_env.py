@@ -3,7 +3,6 @@
 import gymnasium
 import numpy as np
 import pytest
-from places import ROOT
 
 from gauge_envs import GaugeEnv
 
@@ -13,13 +12,9 @@ from absl.testing import absltest  # noqa: E402  comes with dm_env
 from dm_env import specs, test_utils  # noqa: E402
 
 from gauge_envs.envs.dm_env import DmEnvironment, load  # noqa: E402
-from gauge_envs.errors import UnknownNameError  # noqa: E402
 
 RIGID, DRIVEN = "SlopeSlider-2-wood", "SlopeSlider-3-metal"
-CONTROL, TASK_FILE = (
-    "GAUGE/Push-Limit-wood",
-    ROOT / "examples/own_experiment/crate.toml",
-)
+CONTROL = "GAUGE/Push-Limit-wood"
 
 
 class Suite(test_utils.EnvironmentTestMixin):
@@ -107,17 +102,6 @@ def test_the_score_is_that_of_the_last_complete_episode():
     assert env.score == score
 
 
-def test_each_episode_with_noise_has_the_next_seed():
-    places = []
-    for seed in (3, 3, 4):
-        env = load(RIGID, seed=seed, options={"jitter": True})
-        episodes = [env.reset().observation["observable"].tolist() for _ in range(2)]
-        places.append(episodes)
-    assert places[0] == places[1]
-    assert places[0][0] != places[0][1]
-    assert places[2][0] == places[0][1]
-
-
 def test_a_control_task_has_the_rewards_of_gymnasium_and_its_report():
     env = load(CONTROL)
     single = gymnasium.make(CONTROL)
@@ -128,15 +112,3 @@ def test_a_control_task_has_the_rewards_of_gymnasium_and_its_report():
         assert step.reward == single.step(action)[1]
     assert env.info["limit"].ending == "missed"
     assert env.reward_spec().maximum == np.inf
-
-
-def test_a_task_file_is_an_experiment(monkeypatch):
-    monkeypatch.setenv("GAUGE_TASKS", "")
-    env = load(str(TASK_FILE))
-    run_to_end(env)
-    assert env.score.kind == "analytic"
-
-
-def test_an_unknown_name_is_an_error_with_the_nearest():
-    with pytest.raises(UnknownNameError, match="did you mean SlopeSlider-2-wood"):
-        load("SlopeSlider-2-wod")

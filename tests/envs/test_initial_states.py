@@ -143,16 +143,6 @@ def test_impossible_noise_raises_an_error(name, jitter, message):
         make(name, jitter=jitter)
 
 
-def test_the_limit_of_a_throw_depends_on_its_initial_height():
-    env = make("Throw-Limit-rubber", jitter="real")
-    limits = []
-    for seed in (0, 1, 0):
-        env.reset(seed=seed)
-        limits.append(env.unwrapped.task.limits[0])
-    assert limits[0] == limits[2]
-    assert 1e-4 < abs(limits[1] - limits[0]) < 0.01
-
-
 # --- bundled single-trial recordings ---
 
 
@@ -187,18 +177,6 @@ def test_the_seed_selects_the_trial_also_in_runs_and_worlds():
     assert infos["trial"].tolist() == [3, 4]
     with pytest.raises(ParameterError, match="trial 499 does not exist"):
         env.reset(options={"trial": 499})
-
-
-def test_real_noise_of_tosses_draws_recorded_trials():
-    shots = single_shots(TOSS)
-    recorded_mm = np.array(
-        [1e3 * shots.shot(trial).positions_m[0] for trial in shots.trials()]
-    )
-    env = make(TOSS, jitter="real")
-    places = [start_mm(env, seed=0), *(start_mm(env) for _ in range(5))]
-    distance_mm = np.linalg.norm(recorded_mm[:, None] - places, axis=-1)
-    assert distance_mm.min(axis=0) == pytest.approx(np.zeros(6), abs=1e-3)
-    assert len(np.unique(distance_mm.argmin(axis=0))) > 3
 
 
 def test_a_toss_with_an_overridden_start_has_no_reference():

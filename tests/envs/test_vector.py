@@ -3,16 +3,18 @@
 Expected values are those of single environments with the same seeds, actions and constants.
 """
 
+from functools import partial
+
 import gymnasium
 import numpy as np
 import pytest
-from gymnasium.envs.registration import EnvSpec
+from episodes import assert_same
 from gymnasium.vector import AutoresetMode, SyncVectorEnv, VectorEnv
 from gymnasium.wrappers.vector import RecordEpisodeStatistics
 from opengl import needs_opengl
 
 from gauge_envs import GaugeEnv, Jitter, load_experiment
-from gauge_envs.envs.vector import GaugeVectorEnv, ScoreEpisodes
+from gauge_envs.envs.vector import ScoreEpisodes
 from gauge_envs.errors import ActionError, EpisodeError, ParameterError
 
 SLIDE, TILTED, BALL = "SlopeSlider-2-wood", "SlopeSlider-3-metal", "BouncingBall-rubber"
@@ -50,16 +52,6 @@ def run_to_end(envs):
 # --- worlds and single environments ---
 
 
-def assert_near(batch, single, tolerance):
-    if isinstance(single, dict):
-        for key, value in single.items():
-            assert_near(batch[key], value, tolerance)
-    elif isinstance(single, np.ndarray | float):
-        np.testing.assert_allclose(batch, single, rtol=tolerance, atol=tolerance)
-    else:
-        assert batch == single
-
-
 def compare(
     name,
     *,
@@ -83,32 +75,20 @@ def compare(
     """
     varied = {} if constants is None else {"world_parameters": constants}
     envs = make(name, count, **varied, **arguments)
-    envs.action_space.seed(0)
-    actions = [envs.action_space.sample() for _ in range(steps)]
-    batches = [envs.reset(seed=5, options=options)]
-    for action in actions:
-        batches.append(envs.step(action))
-    for world in range(count):
-        if constants is not None:
-            arguments["parameters"] = constants[world] or "published"
-        env = gymnasium.make(f"GAUGE/{name}", disable_env_checker=True, **arguments)
-        singles = [env.reset(seed=5 + world, options=options)]
-        for action in actions:
-            singles.append(env.step(action[world]))
-            if any(singles[-1][2:4]):
-                break
-        compare_world(batches, world, singles, tolerance)
-
-
-def compare_world(batches, world, singles, tolerance):
-    """Compare a world with the first episode of a single environment."""
-    for batch, single in zip(batches, singles, strict=False):
-        rows = {key: values[world] for key, values in batch[0].items()}
-        assert_near(rows, single[0], tolerance)
-        for values, value in zip(batch[1:-1], single[1:-1], strict=True):
-            assert_near(values[world], value, tolerance)
-        infos = {key: batch[-1][key][world] for key in single[-1]}
-        assert_near(infos, single[-1], tolerance)
+    singles = SyncVectorEnv(
+        [
+            partial(gymnasium.make, f"GAUGE/{name}", parameters=of_world, **arguments)
+            for of_world in constants or ["published"] * count
+        ]
+    )
+    starts = (each.reset(seed=5, options=options) for each in (envs, singles))
+    for one, other in zip(*starts, strict=True):
+        assert_same(one, other, tolerance)
+    singles.action_space.seed(0)
+    for _ in range(steps):
+        actions = singles.action_space.sample()
+        for one, other in zip(envs.step(actions), singles.step(actions), strict=True):
+            assert_same(one, other, tolerance)
 
 
 @pytest.mark.parametrize(
@@ -164,19 +144,6 @@ def test_constants_of_a_world_add_to_the_parameters_of_all_worlds():
     assert second.contacts[0].friction == 0.2
 
 
-def test_observations_are_in_the_space_and_stay_after_the_next_step():
-    envs = make(TILTED, 3)
-    first, infos = envs.reset(seed=0)
-    assert infos["frame"].tolist() == [0, 0, 0]
-    copy = first["observable"].copy()
-    for _ in range(12):
-        observation, rewards, *_ = envs.step(envs.action_space.sample())
-        assert observation in envs.observation_space
-    assert rewards.shape == (3,)
-    assert np.array_equal(first["observable"], copy)
-    assert not np.array_equal(observation["observable"], copy)
-
-
 @pytest.mark.parametrize("name", ["SlopeSlider-2-wood", "Turntable-Limit-wood"])
 def test_vector_env_is_a_direct_base(name):
     """By its direct bases, skrl recognizes an environment of Gymnasium."""
@@ -208,15 +175,6 @@ def test_pictures_are_those_of_single_environments():
         assert np.abs(picture.astype(int) - expected).max() <= 1
     envs.close()
     env.close()
-
-
-def test_a_spec_as_json_rebuilds_a_native_vector_environment():
-    envs = make(SLIDE, 3, parameters={"cube.friction": 0.2})
-    again = gymnasium.make_vec(EnvSpec.from_json(envs.unwrapped.spec.to_json()))
-    assert isinstance(again.unwrapped, GaugeVectorEnv)
-    assert again.metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP
-    assert again.num_envs == 3
-    assert again.unwrapped.experiment.overrides == {"cube.friction": 0.2}
 
 
 def test_mistakes_raise_an_error():

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from episodes import run_to_end
 from places import ROOT
-from texts import changed_text, fenced
+from texts import changed_text
 
 import gauge_envs
 from gauge_envs import GaugeEnv, load_experiment, reference_band
@@ -27,9 +27,6 @@ from gauge_envs.experiments.variants import (
     user_variants,
     variants,
 )
-from gauge_envs.runs.episodes import run_episode
-from gauge_envs.runs.request import RunRequest
-from gauge_envs.runs.result_file import load_result, write_result
 from gauge_envs.scoring.recorded_events import EVENTS
 
 EXAMPLE = ROOT / "examples" / "own_experiment"
@@ -92,23 +89,6 @@ def test_a_path_is_run_in_another_process_and_its_result_is_read_again(
     renamed = gauge("compare", "results")
     assert renamed.exit_code
     assert f"it has GAUGE/BoxSlide-pine, not GAUGE/{NAME}" in renamed.stderr
-
-
-def test_a_damaged_band_is_named_with_its_trial_and_frame(example):
-    """The band passes the checks of an import: a lost marker, and a distance that is not finite."""
-    file = example / f"{NAME}.band.npz"
-    arrays = dict(np.load(file))
-    mean = arrays["mean"].copy()
-    mean[7] = -9999.0
-    damages = {r"row 7 .* the marker was lost": {"mean": mean}}
-    damages["trial 2 has the distance inf"] = {
-        "trial_rmse": np.array([1.0, 2.0, np.inf])
-    }
-    for text, changed in damages.items():
-        np.savez(file, **(arrays | changed))
-        os.utime(example / f"{NAME}.band.toml")
-        with pytest.raises(ReferenceFileError, match=rf"{file.name}: .*{text}"):
-            reference_band(load_experiment("crate.toml"))
 
 
 def test_an_event_that_is_unknown_or_does_not_fit_is_named(example):
@@ -224,19 +204,3 @@ def test_a_new_material_of_the_guide_runs_without_a_score(tmp_path, monkeypatch)
         assert env.experiment.scene.body("cube").mass_kg == 0.31
         env.reset(seed=0)
         assert env.step(0 * env.action_space.sample())[-1]["reference"] == "none"
-
-
-def test_the_file_of_the_guide_loads(tmp_path):
-    (tmp_path / "puck_slide.toml").write_text(fenced(GUIDE, "toml")[0])
-    experiment = load_experiment(str(tmp_path / "puck_slide.toml"))
-    assert (experiment.name, experiment.frame_count) == ("PuckSlide-steel", 16)
-
-
-def test_a_result_knows_the_task_file_of_its_experiment(example, tmp_path, monkeypatch):
-    """`gauge compare` of a later process needs no environment variable."""
-    monkeypatch.setenv("GAUGE_TASKS", str(example / "crate.toml"))
-    result = run_episode(RunRequest(NAME))
-    file = tmp_path / "result.json"
-    write_result(result, file)
-    monkeypatch.delenv("GAUGE_TASKS")
-    assert load_result(file).score == result.score

@@ -4,19 +4,15 @@ The slide of a cube follows Coulomb's law; hashes are SHA-256 of the bytes of fi
 """
 
 import hashlib
-import json
-from dataclasses import replace
 
 import gymnasium
 import numpy as np
 import pytest
-from places import first_of_each_kind
-from pxr import Gf, Sdf, Usd, UsdUtils, Vt
+from pxr import Gf, Sdf, Usd, UsdUtils
 
 from gauge_envs import load_experiment
 from gauge_envs.errors import AssetError, ParameterError
-from gauge_envs.experiments.variants import variants
-from gauge_envs.runs.episodes import run_episode, run_episodes
+from gauge_envs.runs.episodes import run_episodes
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result_file import (
     load_result,
@@ -25,13 +21,9 @@ from gauge_envs.runs.result_file import (
     write_result,
 )
 from gauge_envs.runs.score_file import score_file
-from gauge_envs.scene import Motion
-from gauge_envs.scene.diff import scene_changes
-from gauge_envs.scoring.reference import reference_band
 from gauge_envs.tools.assets.build import assets_folder
-from gauge_envs.tools.compare.comparison import compare
 
-SLIDE, TILTED, BALL = "SlopeSlider-2-wood", "SlopeSlider-3-wood", "BouncingBall-rubber"
+SLIDE, TILTED = "SlopeSlider-2-wood", "SlopeSlider-3-wood"
 G = 9.80665
 
 
@@ -73,19 +65,6 @@ def slippery(edited):
     return edited(SLIDE, setting("Contacts/contact_0", gauge__friction=0.1))
 
 
-@pytest.mark.parametrize(
-    "name",
-    first_of_each_kind(
-        (variant.name for variant in variants()), lambda name: name.split("-")[0]
-    ),
-)
-def test_the_shipped_layer_is_the_scene_of_the_task_file(name):
-    layer = load_experiment(name, asset=shipped(name))
-    assert layer.scene == load_experiment(name).scene
-    assert (layer.asset.edited, layer.asset.changes) == (False, ())
-    assert layer.asset.sha256 == hashlib.sha256(shipped(name).read_bytes()).hexdigest()
-
-
 # --- edits reach the simulation ---
 
 
@@ -111,71 +90,6 @@ def test_half_the_friction_changes_the_slide_as_coulomb_says(edited, rollout):
     assert str(change).startswith("contact cube/board: friction 0.273673 -> 0.1368")
 
 
-def test_an_edited_pose_reaches_the_simulation_and_the_reference_stays(edited):
-    x, y, z = load_experiment(BALL).scene.body("ball").pose.position_m
-    higher = Gf.Vec3d(x, y, z + 0.1)
-    path = edited(BALL, setting("ball", xformOp__translate=higher))
-    observation, _ = gymnasium.make(f"GAUGE/{BALL}", asset=path).reset(seed=0)
-    assert observation["observable"] == pytest.approx(1e3 * np.array(higher), abs=1e-9)
-    # The reference stays the same.
-    bands = [
-        reference_band(load_experiment(BALL, asset=asset)) for asset in (path, None)
-    ]
-    np.testing.assert_array_equal(bands[0].mean, bands[1].mean)
-
-
-def test_an_edited_mesh_changes_the_shape(edited):
-    name = "NonsmoothContact-1-wood"
-
-    def taller(stage):
-        prim = stage.GetPrimAtPath("/World/pyramid/collision_0")
-        points = prim.GetAttribute("points")
-        stretched = [Gf.Vec3f(x, y, 1.25 * z) for x, y, z in points.Get()]
-        points.Set(Vt.Vec3fArray(stretched))
-
-    before = load_experiment(name).scene.body("pyramid").shape
-    layer = load_experiment(name, asset=edited(name, taller))
-    after = layer.scene.body("pyramid").shape
-    assert after.volume_m3 > 1.001 * before.volume_m3
-    assert "numbers differ, by up to" in str(layer.asset.changes[0])
-
-
-def test_edited_samples_drive_the_body(edited, rollout):
-    def higher(stage):
-        prim = stage.GetPrimAtPath("/World/board")
-        translate = prim.GetAttribute("xformOp:translate")
-        for frame in translate.GetTimeSamples()[1:]:
-            rise = Gf.Vec3d(0.0, 0.0, 1e-3 * min(frame, 20))
-            translate.Set(translate.Get(frame) + rise, frame)
-
-    path = edited(TILTED, higher)
-    places = []
-    for asset in (None, path):
-        env, _, _ = rollout(TILTED, asset=asset, frames=30)
-        places.append(env.rollout.simulation.body_states(["board"])[0, 0, :3])
-    np.testing.assert_allclose(places[1] - places[0], [0.0, 0.0, 0.02], atol=1e-6)
-
-
-def test_changes_name_the_changed_values():
-    scene = load_experiment("SlopeSlider-3-wood").scene
-    cube = replace(scene.body("cube"), mass_kg=0.2, motion=Motion.FIXED)
-    contact = replace(scene.contacts[1], restitution=0.5)
-    after = replace(
-        scene,
-        bodies=(cube, *(body for body in scene.bodies[1:] if body.name != "ground")),
-        contacts=(scene.contacts[0], contact),
-        gravity_m_per_s2=1.62,
-    )
-    assert [*map(str, scene_changes(scene, after))] == [
-        "ground: removed",
-        "cube: motion dynamic -> fixed",
-        "cube: mass_kg 0.0903 -> 0.2",
-        "contact cube/ground: restitution 0.223583 -> 0.5",
-        "scene: gravity_m_per_s2 9.80665 -> 1.62",
-    ]
-    assert not list(scene_changes(scene, scene))
-
-
 # --- results ---
 
 
@@ -193,18 +107,6 @@ def test_a_result_of_an_edited_scene_is_read_back(slippery, tmp_path):
     experiment = recorded_experiment(again)
     assert experiment.scene == load_experiment(SLIDE, asset=slippery).scene
     assert score_file(file)[0].score.rmse == pytest.approx(result.score.rmse)
-
-
-def test_an_edited_scene_is_another_configuration_and_a_shipped_layer_is_not(slippery):
-    task, same, edited = (
-        run_episode(RunRequest(SLIDE, asset=asset))
-        for asset in (None, shipped(SLIDE), slippery)
-    )
-    assert result_file_name(task) == result_file_name(same) != result_file_name(edited)
-    comparison = compare([task, same, edited])
-    assert [
-        bool(configuration.asset) for configuration in comparison.configurations
-    ] == [False, True]
 
 
 def test_the_hash_covers_every_file_of_the_stage(tmp_path):
@@ -240,16 +142,6 @@ def test_the_hash_covers_every_file_of_the_stage(tmp_path):
     package = tmp_path / "slide.usdz"
     assert UsdUtils.CreateNewUsdzPackage(str(shipped(SLIDE)), str(package))
     assert digest(package) == hashlib.sha256(package.read_bytes()).hexdigest()
-
-
-def test_commands_show_and_mark_an_edited_scene(slippery, gauge, tmp_path):
-    shown = gauge("show", SLIDE, "--asset", slippery, "--json")
-    change = "contact cube/board: friction 0.273673 -> 0.1"
-    assert json.loads(shown.stdout)["asset"]["changes"] == [change]
-    run = gauge("run", SLIDE, "--asset", slippery, "--out", tmp_path / "out")
-    assert run.exit_code == 0
-    assert "published, edited scene" in run.stdout
-    assert change.partition(": ")[2] in run.stdout
 
 
 # --- what does not fit ---
@@ -337,3 +229,19 @@ def test_a_bad_file_gives_an_error_in_a_line(content, name, message, gauge, tmp_
 def test_arguments_that_the_file_has_raise_an_error(options):
     with pytest.raises(ParameterError, match=f"{SLIDE}.usda"):
         gymnasium.make(f"GAUGE/{SLIDE}", asset=shipped(SLIDE), **options)
+
+
+def test_edited_samples_drive_the_body(edited, rollout):
+    def higher(stage):
+        prim = stage.GetPrimAtPath("/World/board")
+        translate = prim.GetAttribute("xformOp:translate")
+        for frame in translate.GetTimeSamples()[1:]:
+            rise = Gf.Vec3d(0.0, 0.0, 1e-3 * min(frame, 20))
+            translate.Set(translate.Get(frame) + rise, frame)
+
+    path = edited(TILTED, higher)
+    places = []
+    for asset in (None, path):
+        env, _, _ = rollout(TILTED, asset=asset, frames=30)
+        places.append(env.rollout.simulation.body_states(["board"])[0, 0, :3])
+    np.testing.assert_allclose(places[1] - places[0], [0.0, 0.0, 0.02], atol=1e-6)

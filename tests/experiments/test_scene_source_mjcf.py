@@ -17,9 +17,8 @@ from gauge_envs.backends import backend, backend_for
 from gauge_envs.backends.mujoco.mjcf.diff import model_changes
 from gauge_envs.errors import AssetError, ParameterError, UnsupportedSceneError
 from gauge_envs.experiments.variants import variants
-from gauge_envs.runs.episodes import run_episode, run_episodes
+from gauge_envs.runs.episodes import run_episodes
 from gauge_envs.runs.request import RunRequest
-from gauge_envs.runs.result_file import recorded_experiment
 from gauge_envs.scene.diff import ChangeKind
 from gauge_envs.scoring.reference import refusal
 from gauge_envs.tools.assets.build import assets_folder
@@ -96,15 +95,6 @@ def test_an_edited_mass_pose_and_friction_reach_scene_and_model(edited):
         ("body_pos",),
         ("pair_friction",),
     ]
-
-
-def test_a_longer_step_is_a_setting_of_the_file(edited):
-    path = edited(SLIDE, (TIMESTEP, f'timestep="{1 / 1800!r}"'))
-    result = run_episode(RunRequest(SLIDE, asset=path))
-    assert result.settings["timestep_s"] == 1 / 1800
-    change = "option: timestep 0.0001111111111 -> 0.0005555555556"
-    assert result.asset["changes"] == [change]
-    assert recorded_experiment(result).scene == load_experiment(SLIDE).scene
 
 
 @pytest.mark.parametrize(

@@ -1,7 +1,7 @@
 """Golden numbers: results before a change, which `test_every_id.py` compares.
 
     python -m tests.golden.golden                                    # all numbers
-    python -m tests.golden.golden --only fabrics                     # one part
+    python -m tests.golden.golden --only jitter                      # one part
     python -m tests.golden.golden --only episodes SlopeSlider-1-wood
 
 Each part has a function that returns plain numbers and texts for a name. The numbers are those of version 0.3.0, but
@@ -19,9 +19,6 @@ import gymnasium
 import numpy as np
 
 from gauge_envs import load_experiment
-from gauge_envs.experiments.task_files import fabrics
-from gauge_envs.tools.recipes.fabrics import fabric_constants
-from gauge_envs.tools.sanity import check
 
 FILE = Path(__file__).with_name("golden.json")
 
@@ -134,29 +131,11 @@ def on_engine(name):
     return episode(name, engine=engine)
 
 
-def sanity(target):
-    """Return value, unit and verdict of each check of a training configuration."""
-    names = tuple(read()["sanity"][target])
-    report = check(target, only=names, explain=False)
-    return {
-        result.id: [result.configured, result.unit, result.verdict.value]
-        for result in report.checks
-    }
-
-
-def fabric(name):
-    """Return the constants of a fabric for each engine."""
-    mapped = fabric_constants(fabrics("TextileFlinging")[name])
-    return {engine: dict(mapping.constants) for engine, mapping in mapped.items()}
-
-
 PARTS = {
     "episodes": episode,
     "jitter": jittered,
     "trial": trial,
     "engines": on_engine,
-    "sanity": sanity,
-    "fabrics": fabric,
 }
 
 

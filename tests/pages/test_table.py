@@ -117,43 +117,6 @@ def test_json_has_the_rows():
     assert json.loads(json.dumps(as_rows(TABLE), allow_nan=False)) == list(ROWS)
 
 
-NAMED = Table(
-    columns=(
-        Column("name", "phenomenon"),
-        *(Column(key, key, is_number=True) for key in ("reality", "default", "this")),
-    ),
-    rows=[
-        {
-            "name": "friction of wood on a board of ten degrees",
-            "reality": 1,
-            "default": 2,
-            "this": 3,
-        },
-        {"name": "rest", "reality": 10, "default": 20, "this": 30},
-    ],
-)
-
-
-def test_columns_that_do_not_fit_move_below_the_row():
-    assert printed(NAMED, 22) == [
-        "phenomenon     reality",
-        "friction of          1",
-        "wood on a",
-        "board of ten",
-        "degrees",
-        "    default: 2; this:",
-        "    3",
-        "rest                10",
-        "    default: 20; this:",
-        "    30",
-    ]
-    without = [{**row, "default": ""} for row in NAMED.rows]
-    assert printed(replace(NAMED, rows=without), 22)[-2:] == [
-        "rest                10",
-        "    this: 30",
-    ]
-
-
 WORDS = st.lists(
     st.text("abc123.-", min_size=1, max_size=14), min_size=1, max_size=8
 ).map(" ".join)

@@ -6,23 +6,20 @@ from typing import Any
 
 import numpy as np
 import pytest
-from opengl import needs_opengl, pixels_of
+from opengl import pixels_of
 from scipy.spatial.transform import Rotation
 
-from gauge_envs import GaugeEnv, load_experiment
+from gauge_envs import GaugeEnv
 from gauge_envs.experiments.variants import beyond_variants, variants
 from gauge_envs.fixtures.parts import driver as driver_of, ground, ramp
 from gauge_envs.references.tables import read_toml, scoring_folder
 from gauge_envs.rendering.camera import (
     FIELD_OF_VIEW_DEG,
     CameraFile,
-    View,
     experiment_view,
     scene_view,
 )
-from gauge_envs.rendering.overlay import Overlay
 from gauge_envs.rendering.reference_path import reference_path
-from gauge_envs.rendering.renderer import SceneRenderer
 from gauge_envs.scene import Box, Hinge, Motion, Pose, RigidBody, Rod, Scene
 
 SIZE = (640, 480)
@@ -156,22 +153,3 @@ def test_a_scene_without_a_camera_shows_start_and_motion(
     sine = np.sin(np.radians(0.5 * FIELD_OF_VIEW_DEG))
     assert radius_m / view.distance_m == pytest.approx(sine / 1.25)
     assert (view.azimuth_deg, view.elevation_deg) == pytest.approx((azimuth_deg, -18.0))
-
-
-@needs_opengl
-def test_pictures_show_points_where_the_view_says():
-    scene = load_experiment("SlopeSlider-2-wood").scene
-    view = View(
-        target_m=(0.1, -0.2, 0.4), distance_m=1.3, azimuth_deg=33.0, elevation_deg=-21.0
-    )
-    renderer = SceneRenderer(scene, {}, 320, 240, view=view, materials={})
-    for offset_m in ([0.0, 0.0, 0.0], [0.1, 0.1, 0.15], [-0.2, -0.1, 0.1]):
-        point_m = np.add(view.target_m, offset_m)[None]
-        picture = renderer.picture({}, {}, Overlay(markers_m=point_m)).astype(int)
-        blue = picture[..., 2] - picture[..., 0] > 60
-        rows, columns = np.nonzero(blue)
-        expected = pixels_of(view, point_m, width=320, height=240)[0]
-        assert [columns.mean() + 0.5, rows.mean() + 0.5] == pytest.approx(
-            expected, abs=0.75
-        )
-    renderer.close()

@@ -1,6 +1,5 @@
 """Overlays of pictures: tracked points, their paths and the reference, drawn in front of the scene."""
 
-import gymnasium
 import numpy as np
 import pytest
 from opengl import needs_opengl, pixels_of
@@ -49,29 +48,6 @@ def test_points_and_paths_are_drawn_in_front_of_the_scene_and_cast_no_shadow():
     assert np.ptp(rows) <= 6
     colors = path[shown].astype(int)
     assert (colors[:, 0] - colors[:, 1] > 60).mean() > 0.6
-
-
-@needs_opengl
-def test_environments_draw_the_overlay_only_on_request():
-    make = {"render_mode": "rgb_array", **SIZE}
-    pictures = {}
-    for overlay in (False, True):
-        env = gymnasium.make("GAUGE/SlopeSlider-2-wood", render_overlay=overlay, **make)
-        env.reset(seed=0)
-        for _ in range(8):
-            env.step(0)
-        pictures[overlay] = env.render()
-        env.close()
-    assert changed(pictures[False], pictures[True]).sum() > 20
-    envs = gymnasium.make_vec(
-        "GAUGE/SlopeSlider-2-wood", num_envs=2, render_overlay=True, **make
-    )
-    envs.reset(seed=0)
-    for _ in range(8):
-        envs.step([0, 0])
-    for picture in envs.render():
-        assert np.abs(picture.astype(int) - pictures[True]).max() <= 2
-    envs.close()
 
 
 def overlay_at_frame(name, frame_count):

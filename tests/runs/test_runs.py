@@ -197,34 +197,12 @@ def test_a_damaged_result_raises_an_error(key, value, reason, result, tmp_path):
     assert reason in str(caught.value)
 
 
-def test_a_command_skips_a_damaged_result_and_shows_the_others(result, gauge, tmp_path):
-    folder = tmp_path / "results"
-    folder.mkdir()
-    damaged = result.to_dict() | {"parameters": {"ghost.friction": 1.0}}
-    for name, content in (("a", damaged), ("b", result.to_dict())):
-        (folder / f"{name}.json").write_text(json.dumps(content))
-    done = gauge("plot", folder, "--out", tmp_path / "figures")
-    assert done.exit_code == 1
-    assert "a.json" in done.stderr
-    assert list((tmp_path / "figures").glob("*.png"))
-
-
 def test_removed_keys_of_release_0_3_are_ignored(result, tmp_path):
     old = json.loads(json.dumps(result.to_dict()))
     old["scatter"] = {"unit": "mm", "run_count": 40, "spreads": [], "verdict": "none"}
     old["score"]["explained"] = [{"name": "friction cube/board", "left": 0.5}]
     (tmp_path / "old.json").write_text(json.dumps(old))
     assert load_result(tmp_path / "old.json") == result
-
-
-def test_a_full_disk_leaves_no_result_file(tmp_path, monkeypatch, result):
-    def full(*_):
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr("gauge_envs.files.Path.write_bytes", full)
-    with pytest.raises(ResultFileError, match="No space left"):
-        write_result(result, tmp_path / "a.json")
-    assert list(tmp_path.iterdir()) == []
 
 
 # --- resume ---
@@ -258,22 +236,6 @@ def test_repeats_in_one_simulation_are_one_request(together):
     assert [[*part.seeds] for part in parts] == (
         [[10, 11], [14, 15]] if together else [[10], [11], [14], [15]]
     )
-
-
-@pytest.mark.parametrize(
-    "changes",
-    [
-        {"seed": 1},
-        {"settings": {"iterations": 50}},
-        {"parameters": {"cube.friction": 0.3}},
-    ],
-)
-def test_resume_ignores_results_of_other_requests(tmp_path, played, changes):
-    list(run_many([RunRequest(NAME)], out=tmp_path))
-    for _ in range(2):
-        list(run_many([RunRequest(NAME, **changes)], out=tmp_path, resume=True))
-    assert len(played) == 2
-    assert len(list(tmp_path.glob("*.json"))) == 2
 
 
 @pytest.mark.parametrize(

@@ -9,8 +9,6 @@ from types import ModuleType, SimpleNamespace
 import pytest
 from sweep_workers import HereWorker, mortal_worker
 
-from gauge_envs.runs import workers as processes
-from gauge_envs.runs.batch import run_many
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result import Outcome
 from gauge_envs.runs.workers import Limits, run_tasks
@@ -62,22 +60,6 @@ def test_a_closed_run_kills_its_workers_and_starts_no_task():
         started.acquire()
         started.acquire()
     assert sorted(done) == [0, 1, 2]
-
-
-def test_a_closed_run_of_several_jobs_ends_their_processes(monkeypatch):
-    workers = []
-
-    class Counted(processes.Worker):
-        def __init__(self, *args, **kwargs):
-            super().__init__(*args, **kwargs)
-            workers.append(self)
-
-    monkeypatch.setattr(processes, "Worker", Counted)
-    results = run_many([RunRequest(WOOD, seed=seed) for seed in range(4)], jobs=2)
-    assert next(results).error is None
-    results.close()
-    assert len(workers) == 2
-    assert all(worker._process is None for worker in workers)
 
 
 def test_repeats_that_fail_together_run_again_alone():

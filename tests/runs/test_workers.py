@@ -5,9 +5,7 @@ The faulty engines are from `hostile.py`, installed as a package.
 
 import atexit
 import math
-import multiprocessing
 import os
-import random
 import signal
 import subprocess
 import sys
@@ -16,9 +14,8 @@ from pathlib import Path
 
 import pytest
 from places import ROOT
-from sweep_workers import children, contents
+from sweep_workers import children
 
-from gauge_envs.cli.app import app
 from gauge_envs.errors import GaugeError, ParameterError
 from gauge_envs.experiments.variants import find_variant
 from gauge_envs.runs import workers
@@ -214,40 +211,3 @@ def test_ctrl_c_ends_several_jobs_at_once_and_leaves_no_process(tmp_path):
     while any(Path(f"/proc/{pid}").exists() for pid in workers):
         assert time.monotonic() < deadline_s
         time.sleep(0.02)
-
-
-def run_in_a_fork(folder):
-    with open(os.devnull, "w") as nothing:  # noqa: PTH123
-        os.dup2(nothing.fileno(), 1)
-        os.dup2(nothing.fileno(), 2)
-    app(["run", "SlopeSlider-2-*", "--repeats=5", "--resume", "--out", str(folder)])
-
-
-@pytest.mark.slow
-def test_kills_at_random_times_neither_lose_nor_duplicate_nor_cut_results(tmp_path):
-    process = multiprocessing.get_context("fork").Process
-    moments = random.Random(0)
-    start_s = time.monotonic()
-    whole = process(target=run_in_a_fork, args=(tmp_path / "whole",))
-    whole.start()
-    whole.join()
-    duration_s = time.monotonic() - start_s
-    expected = contents(tmp_path / "whole")
-    assert len(expected) == 15
-    kills = between = 0
-    while kills < 40:
-        folder = tmp_path / f"round-{kills}"
-        exitcode = None
-        while exitcode != 0:
-            run = process(target=run_in_a_fork, args=(folder,))
-            run.start()
-            run.join(moments.uniform(0.0, duration_s))
-            run.kill()
-            run.join()
-            exitcode = run.exitcode
-            kills += exitcode != 0
-            results = contents(folder)
-            assert results.items() <= expected.items()
-            between += 0 < len(results) < len(expected)
-        assert contents(folder) == expected
-    assert between > 10

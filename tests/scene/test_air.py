@@ -10,7 +10,6 @@ from gauge_envs import load_experiment
 from gauge_envs.backends import backend_names, support_of
 from gauge_envs.errors import (
     MissingExtraError,
-    ParameterError,
     UnsupportedSceneError,
 )
 from gauge_envs.formats.usd.reader import from_usd
@@ -77,24 +76,6 @@ def test_no_step_overshoots_below_the_stable_speed():
     assert AIR.stable_speed_m_per_s(**given) == pytest.approx(100.0 / (1.2 * 1.8))
     still = Air(density_kg_per_m3=1.0, normal_coefficient=0.0)
     assert still.stable_speed_m_per_s(**given) == math.inf
-
-
-@pytest.mark.parametrize(
-    ("name", "overrides", "reason"),
-    [
-        (
-            "SlopeSlider-2-wood",
-            {"air.density_kg_per_m3": 1.2, "air.normal_coefficient": 1.0},
-            "the scene has air and no cloth",
-        ),
-        (SATIN, {"air.density_kg_per_m3": 1.2}, r"air\.normal_coefficient"),
-        (SATIN, {"air.viscosity": 1.2}, "known: density_kg_per_m3"),
-        (SATIN, {"air.density_kg_per_m3": -1.2}, r"air\.density_kg_per_m3"),
-    ],
-)
-def test_wrong_overrides_name_what_is_wrong(name, overrides, reason):
-    with pytest.raises(ParameterError, match=reason):
-        load_experiment(name, overrides)
 
 
 def test_air_is_a_parameter_set_that_usd_stores_and_other_formats_do_not_support(

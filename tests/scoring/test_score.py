@@ -186,22 +186,3 @@ def test_an_event_is_real_within_1_96_of_its_uncertainty():
     # 1.96 u above 20 % of the value is consistent with an error of 20 %.
     wide = replace(EVENT, value=1.1, real_uncertainty=0.15)
     assert wide.answer is Answer.CANNOT_TELL
-
-
-def test_a_summary_names_both_answers_and_says_what_is_not_known():
-    solved = Score(
-        kind="analytic",
-        unit="mm",
-        distance_unit="mm",
-        solves=Answer.YES,
-        solution_distance=1e-9,
-        solution_motion=557.0,
-        events={"pd": replace(EVENT, value=1.23, real=1.14, real_uncertainty=0.015)},
-        like_reality=Answer.NO,
-    )
-    text = "Solves the scene (0.000 mm of 557); unlike reality: period 1.23 s (real 1.14 +- 0.015 s)."
-    assert solved.summary() == text
-    nothing = Score(kind="none", unit="mm").summary()
-    assert nothing == "No solution of the scene is known; nothing real to compare with."
-    refused = replace(solved, refused="a constant differs").summary()
-    assert refused.startswith("No distance, because a constant differs; unlike")

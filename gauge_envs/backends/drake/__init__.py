@@ -1,13 +1,12 @@
 """Drake: rigid bodies with point and hydroelastic contact. The first build imports the engine, which takes a second."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator
 from types import MappingProxyType
-from typing import Any
 
 from gauge_envs.backends.drake.settings import settings_for
 from gauge_envs.backends.features import Feature
 from gauge_envs.backends.shared.bundled import (
-    BundledBackend,
+    SingleWorldBackend,
     first_of,
     unsupported_compounds,
 )
@@ -25,7 +24,7 @@ REASONS = {
 """Why each kind of deformable body is unsupported."""
 
 
-class BackendDrake(BundledBackend):
+class BackendDrake(SingleWorldBackend):
     """Drake's discrete multibody plant on the CPU: rigid bodies, hinges, tethers and driven bodies."""
 
     name = "drake"
@@ -56,10 +55,8 @@ class BackendDrake(BundledBackend):
         for reason, names in subjects.items():
             yield f"{first_of(names)} is deformable: {reason}"
 
-    def build(
-        self, scene: Scene, settings: Mapping[str, Any] | None = None
-    ) -> Simulation:
-        """Build a scene; settings are the fields of `SettingsDrake`."""
+    def simulation(self) -> Callable[..., Simulation]:
+        """Return the class of simulations; the first call imports the engine."""
         from gauge_envs.backends.drake.simulation import SimulationDrake
 
-        return SimulationDrake(scene, settings_for(scene, settings))
+        return SimulationDrake

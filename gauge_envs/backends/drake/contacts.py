@@ -28,6 +28,9 @@ PHASES: FloatArray = (np.arange(12, dtype=np.float64) + 0.5) / 12.0
 LARGEST_DISSIPATION = 1e6
 """Largest relaxation time [steps] or dissipation times incoming speed; it stands for no rebound."""
 
+LOWEST_RATE = 2e-4
+"""Lowest rate of an impact."""
+
 STEPS = 30.0
 """Steps times the rate after which a contact counts as lasting; a contact without dissipation takes pi."""
 
@@ -63,10 +66,8 @@ def contact_constants(
     dissipation is reduced to compensate.
     """
     step_s = settings.timestep_s
-    rate, relaxation_steps = (
-        settings.sustained_rate,
-        settings.sustained_relaxation_steps,
-    )
+    rate = settings.sustained_rate
+    relaxation_steps = settings.sustained_relaxation_steps
     dissipation = settings.sustained_dissipation_s_per_m
     if contact.mode is ContactMode.IMPACT:
         speed = settings.impact_speed_m_per_s or impact_speed_m_per_s(scene)
@@ -159,18 +160,12 @@ def impact_constants(
     def excess(dissipation: float) -> float:
         return float(rebound(law, rate, dissipation, weight).mean()) - restitution
 
+    def missing(slower: float) -> float:
+        return float(rebound(law, slower, 0.0).mean()) - min(restitution, 0.999)
+
     if excess(0.0) < 0.0:
-        target = min(restitution, 0.999)
-        lowest = 2e-4
-        if float(rebound(law, rate, 0.0).mean()) < target:
-            rate = float(
-                brentq(
-                    lambda slow: float(rebound(law, slow, 0.0).mean()) - target,
-                    lowest,
-                    rate,
-                    xtol=1e-9,
-                )
-            )
+        if missing(rate) < 0.0:
+            rate = float(brentq(missing, LOWEST_RATE, rate, xtol=1e-9))
         return rate, 0.0
     largest = 1.0
     while excess(largest) > 0.0:

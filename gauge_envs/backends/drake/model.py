@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pydrake.geometry as geometry
+from numpy.typing import ArrayLike
 from pydrake.geometry import (
     CollisionFilterDeclaration,
     GeometryId,
@@ -46,7 +47,6 @@ from gauge_envs.scene import (
     Shape,
     Sphere,
 )
-from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.meshes import body_mass_properties
 
 CYLINDER_SIDES = 96
@@ -81,7 +81,7 @@ class ModelDrake:
 
 def rigid_transform(pose: Pose) -> RigidTransform:
     """Return a pose as Drake's transform."""
-    return RigidTransform(RotationMatrix(pose.matrix), np.asarray(pose.position_m))
+    return RigidTransform(RotationMatrix(pose.matrix), pose.position_m)
 
 
 def build_model(scene: Scene, settings: SettingsDrake) -> ModelDrake:
@@ -158,7 +158,7 @@ def _inertia(body: RigidBody) -> SpatialInertia:
 
 def _add_hinge(plant: Any, body: RigidBody, added: Any, hinge: Hinge) -> None:
     """Add the hinge of a body (`added` in Drake) between frames at its anchor with the axes of the world."""
-    anchor = RigidTransform(np.asarray(hinge.anchor_m))
+    anchor = RigidTransform(hinge.anchor_m)
     in_body = rigid_transform(body.pose).inverse() @ anchor
     world, name = plant.world_frame(), body.name
     parent = plant.AddFrame(FixedOffsetFrame(f"{name}/anchor", world, anchor))
@@ -204,9 +204,11 @@ def _parts(
     body: RigidBody, settings: SettingsDrake
 ) -> list[tuple[RigidTransform, geometry.Shape]]:
     """Return the shapes of a body, and their places in it or, if it is fixed, in the world."""
-    if body.motion is Motion.FIXED:
-        return [(rigid_transform(body.pose), shape) for shape in _shapes(body.shape)]
-    parts = [(RigidTransform(), shape) for shape in _shapes(body.shape)]
+    is_fixed = body.motion is Motion.FIXED
+    place = rigid_transform(body.pose) if is_fixed else RigidTransform()
+    parts = [(place, shape) for shape in _shapes(body.shape)]
+    if is_fixed:
+        return parts
     if settings.contact_model == "point" and isinstance(body.shape, Box | ConvexUnion):
         # Tiny spheres at the vertices are further contact points.
         for corner_m in np.unique(body.shape.corners_m, axis=0):
@@ -256,11 +258,9 @@ def _proximity_properties(
     # Spheres touch others in one point, so they collide by point contact.
     if settings.contact_model == "hydroelastic" and not isinstance(body.shape, Sphere):
         # Drake meshes boxes and convex solids exactly, so the edge length only counts for cylinders.
-        edge_m = (
-            2.0 * np.pi * body.shape.radius_m / CYLINDER_SIDES
-            if isinstance(body.shape, Cylinder)
-            else 1.0
-        )
+        edge_m = 1.0
+        if isinstance(body.shape, Cylinder):
+            edge_m = 2.0 * np.pi * body.shape.radius_m / CYLINDER_SIDES
         if body.motion is Motion.DYNAMIC:
             depth_m = inner_radius_m(body.shape)
             # The face of a slab of this depth has this stiffness.
@@ -280,10 +280,10 @@ def inner_radius_m(shape: Shape) -> float:
     if isinstance(shape, Cylinder):
         return min(shape.radius_m, 0.5 * shape.length_m)
     assert isinstance(shape, ConvexUnion)
-    return max(_piece_inner_radius_m(np.asarray(piece)) for piece in shape.pieces_m)
+    return max(_piece_inner_radius_m(piece) for piece in shape.pieces_m)
 
 
-def _piece_inner_radius_m(points_m: FloatArray) -> float:
+def _piece_inner_radius_m(points_m: ArrayLike) -> float:
     planes = ConvexHull(points_m).equations
     # The largest ball inside: its centre is further from each face than its radius.
     result = linprog(

@@ -87,11 +87,8 @@ def settings_for(
     settings = resolve_settings(
         "Drake", PRESETS, preset=_preset_name(scene), changes=changes
     )
-    if settings.impact_speed_m_per_s is None:
-        return settings.model_copy(
-            update={"impact_speed_m_per_s": impact_speed_m_per_s(scene)}
-        )
-    return settings
+    speed = settings.impact_speed_m_per_s or impact_speed_m_per_s(scene)
+    return settings.model_copy(update={"impact_speed_m_per_s": speed})
 
 
 def _preset_name(scene: Scene) -> str:

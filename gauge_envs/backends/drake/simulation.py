@@ -13,16 +13,15 @@ from gauge_envs.backends.drake.model import build_model
 from gauge_envs.backends.drake.settings import SettingsDrake
 from gauge_envs.backends.shared.rigid import (
     MeanForces,
-    PlacedSimulation,
+    SingleWorldSimulation,
     TetherSpring,
     hinge_angle,
     later_targets,
     motion_steps,
-    placed_states,
 )
 from gauge_envs.backends.simulation import ContactForces
 from gauge_envs.scene import Motion, Scene
-from gauge_envs.scene.geometry import BoolArray, FloatArray
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.states import nominal_states
 
 POSE_ORDER = np.array([4, 5, 6, 0, 1, 2, 3])
@@ -35,14 +34,11 @@ VELOCITY_ORDER = np.array([3, 4, 5, 0, 1, 2])
 logging.getLogger("drake").setLevel(logging.ERROR)
 
 
-class SimulationDrake(PlacedSimulation):
+class SimulationDrake(SingleWorldSimulation):
     """A scene in Drake's discrete multibody plant."""
 
     def __init__(self, scene: Scene, settings: SettingsDrake) -> None:
-        self.settings = settings.model_dump(mode="json")
-        self.placed = placed_states(scene)
-        self._scene = scene
-        self._step_s = settings.timestep_s
+        super().__init__(scene, settings)
         self._tether_rate_per_s = settings.tether_rate / settings.timestep_s
         self._model = build_model(scene, settings)
         plant = self._model.plant
@@ -52,7 +48,6 @@ class SimulationDrake(PlacedSimulation):
         self._forces = plant.get_applied_spatial_force_input_port()
         self._tethers = TetherSpring.of(scene)
         self._force_readers: list[MeanForces] = []
-        self._nominal = nominal_states(scene)
         # Positions, then velocities.
         self._state = np.zeros(plant.num_multibody_states())
         # Indices of each body in the state; a hinged body has the angle and its rate.
@@ -67,20 +62,12 @@ class SimulationDrake(PlacedSimulation):
                 self._places[name] = np.hstack(places)
         self.reset()
 
-    def reset(
-        self,
-        starts: FloatArray | None = None,
-        seed: int = 0,
-        worlds: BoolArray | None = None,
-    ) -> None:
-        """Write the initial states to the plant, which has no other memory. The seed has no effect."""
-        states = self._nominal if starts is None else starts[0]
-        self._motions: dict[str, FloatArray] = {}
-        self._wrenches: dict[str, FloatArray] = {}
-        for reader in self._force_readers:
-            reader.clear()
-        for body, state in zip(self._scene.bodies, states, strict=False):
-            hinge = self._scene.hinges.get(body.name)
+    def start(self, states: FloatArray | None) -> None:
+        """Write the initial states to the plant, which has no other memory."""
+        if states is None:
+            states = nominal_states(self.scene)
+        for body, state in zip(self.scene.bodies, states, strict=False):
+            hinge = self.scene.hinges.get(body.name)
             if hinge is not None:
                 turned = hinge_angle(hinge, body.pose, state), state[10:] @ hinge.axis
                 self._state[self._places[body.name]] = turned
@@ -93,36 +80,36 @@ class SimulationDrake(PlacedSimulation):
 
     def drive(self, body: str, targets: FloatArray) -> None:
         """Prescribe a kinematic body; each step starts at its pose with the mean velocity of the step."""
-        self._motions[body] = targets[0].copy()
+        super().drive(body, targets)
         self._state[self._places[body]] = targets[0, :13]
 
     def apply_wrench(self, body: str, wrenches: FloatArray) -> None:
         """Apply a force through the centre of mass [N] and a torque [N m] to a dynamic body."""
-        self._wrenches[body] = wrenches[0].copy()
+        super().apply_wrench(body, wrenches)
         self._apply_forces()
 
     def advance(self, seconds: float) -> None:
         """Step the plant. Driven bodies rest at the end of the interval until they are driven again."""
-        count = round(seconds / self._step_s)
+        count = round(seconds / self.step_s)
         for reader in self._force_readers:
             reader.clear()
-        if self._motions or self._tethers or self._force_readers:
+        if self.motions or self._tethers or self._force_readers:
             self._advance_in_steps(count)
         else:
             # One call costs half as much as single steps, and gives the same bits.
             self._context.SetTime(0.0)
             self._simulator.Initialize()
-            self._simulator.AdvanceTo(count * self._step_s)
+            self._simulator.AdvanceTo(count * self.step_s)
             self._state = self._context.get_discrete_state().value(0).copy()
-        for name, motion in self._motions.items():
+        for name, motion in self.motions.items():
             pose = later_targets(motion[None], seconds)[0, :7]
-            self._motions[name] = np.append(pose, np.zeros(12))
+            self.motions[name] = np.append(pose, np.zeros(12))
 
     def _advance_in_steps(self, count: int) -> None:
         """Take single steps; before each, place driven bodies and apply the pulls of strings."""
         paths = {
-            name: np.hstack(motion_steps(motion, self._step_s, count))
-            for name, motion in self._motions.items()
+            name: np.hstack(motion_steps(motion, self.step_s, count))
+            for name, motion in self.motions.items()
         }
         for step in range(count):
             for name, states in paths.items():
@@ -142,7 +129,7 @@ class SimulationDrake(PlacedSimulation):
         """Give the plant the wrenches and the current pulls of strings."""
         forces = [
             self._force(name, self._model.bodies[name].default_com(), wrench)
-            for name, wrench in self._wrenches.items()
+            for name, wrench in self.wrenches.items()
         ]
         for spring in self._tethers:
             body = spring.tether.body
@@ -164,7 +151,7 @@ class SimulationDrake(PlacedSimulation):
         """Return the states of dynamic and driven bodies, shape [1, len(names), 13]."""
         states = [
             self._hinged_state(name)
-            if name in self._scene.hinges
+            if name in self.scene.hinges
             else self._free_state(name)
             for name in names
         ]

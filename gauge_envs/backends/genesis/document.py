@@ -37,6 +37,7 @@ from gauge_envs.scene import (
     Vector,
 )
 from gauge_envs.scene.bodies import friction_dimension
+from gauge_envs.scene.geometry import vector
 from gauge_envs.scene.meshes import body_mass_properties
 
 CONTACT_LIMIT = 30
@@ -106,9 +107,7 @@ def layers_of_bodies(
             layers.setdefault(name, {}).setdefault(constants, Layer()).offers |= bit
         for name in bodies & set(contact.second):
             layers.setdefault(name, {}).setdefault(constants, Layer()).accepts |= bit
-    return {
-        body.name: layers[body.name] for body in scene.bodies if body.name in layers
-    }
+    return layers
 
 
 def _rigid_contacts(scene: Scene) -> Iterator[Contact]:
@@ -232,8 +231,8 @@ def body_label(index: int) -> str:
 def document(
     scene: Scene,
     settings: SettingsGenesis,
-    coupled: Mapping[str, float] | None = None,
-    margin_m: float = 0.0,
+    coupled: Mapping[str, float],
+    margin_m: float,
 ) -> str:
     """Return the document.
 
@@ -256,7 +255,7 @@ def document(
             (body.shape, constants, layer)
             for constants, layer in layers.get(body.name, {}).items()
         ]
-        friction = (coupled or {}).get(body.name)
+        friction = coupled.get(body.name)
         if friction is not None:
             inert = Constants(
                 max(friction, MIN_FRICTION),
@@ -293,12 +292,9 @@ def _add(
     """Add an element, whose numbers have all their digits, and return it."""
 
     def text(value: Any) -> str:
-        is_text = isinstance(value, str | int)
-        return (
-            str(value)
-            if is_text
-            else " ".join(repr(float(number)) for number in np.ravel(value))
-        )
+        if isinstance(value, str | int):
+            return str(value)
+        return " ".join(repr(number) for number in np.ravel(value).tolist())
 
     return ElementTree.SubElement(
         parent, tag, {name: text(value) for name, value in attributes.items()}
@@ -320,19 +316,14 @@ def _add_body(
     if hinge is None:
         _add(element, "freejoint", name=label)
     else:
-        anchor, axis = (
-            pose.to_body(np.asarray(hinge.anchor_m)),
-            pose.rotation.inv().apply(hinge.axis),
-        )
-        armature = settings.hinge_armature_kg_m2
         _add(
             element,
             "joint",
             name=label,
             type="hinge",
-            pos=anchor,
-            axis=axis,
-            armature=armature,
+            pos=pose.to_body(hinge.anchor_m),
+            axis=pose.rotation.inv().apply(hinge.axis),
+            armature=settings.hinge_armature_kg_m2,
         )
     if body.motion is Motion.KINEMATIC:
         mass_kg, centre_m = settings.kinematic_mass_kg, np.zeros(3)
@@ -398,7 +389,7 @@ def _solids(shape: Solid, pose: Pose) -> Iterator[tuple[Solid | Piece, Pose]]:
     elif isinstance(shape, Compound):
         for part in shape.parts:
             place = Pose.from_rotation(
-                tuple(pose.to_world(np.asarray(part.pose.position_m)).tolist()),
+                vector(pose.to_world(part.pose.position_m)),
                 pose.rotation * part.pose.rotation,
             )
             yield from _solids(part.shape, place)

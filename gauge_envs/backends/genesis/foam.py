@@ -99,7 +99,7 @@ class _Row(ABC):
     def places_m(self, weights: Weights) -> FloatArray:
         """Return the current positions of places with some weights [m], shape [place_count, 3]."""
         indices, shares = weights
-        return np.asarray(np.einsum("pk,pki->pi", shares, self.positions_m()[indices]))
+        return np.einsum("pk,pki->pi", shares, self.positions_m()[indices])
 
 
 class SoftPart(DeformablePart):
@@ -154,8 +154,7 @@ class _FEMRow(_Row):
 
     def positions_m(self) -> FloatArray:
         """Return the positions of the nodes of the mesh."""
-        positions: FloatArray = self.entities[0].get_state().pos[0].numpy()
-        return positions.astype(np.float64)
+        return self.entities[0].get_state().pos[0].numpy().astype(np.float64)
 
     def weights(self, places_m: FloatArray) -> Weights:
         """Return the weights of linear interpolation in each tetrahedron, as in the elements."""
@@ -281,7 +280,7 @@ def fitted_voxel_m(rows: Sequence[SoftRow], voxel_m: float) -> float:
     misses = np.zeros(len(candidates))
     for row in rows:
         for side in row.ends:
-            face = (row.low_m if side == "low" else row.high_m)[row.axis]
+            face = row.face_m(side)
             misses += np.square(np.rint(face / candidates) * candidates - face)
         if row.ends:
             break
@@ -352,9 +351,8 @@ class _MPMRow(_Row):
     def _grip_m(self, side: str, voxel_m: float, spacing_m: float) -> FloatArray:
         """Return the points of a grip [m], shape [count, 3]: layers of the cross-section behind the grid plane."""
         row = self.soft_row
-        block = row.blocks[0 if side == "low" else -1]
-        face = (row.low_m if side == "low" else row.high_m)[row.axis]
-        plane = round(face / voxel_m) * voxel_m
+        block = row.end(side)
+        plane = round(row.face_m(side) / voxel_m) * voxel_m
         low_m, high_m = block.low_m.copy(), block.high_m.copy()
         low_m[row.axis], high_m[row.axis] = 0.0, spacing_m
         section = points_in_box_m(low_m, high_m, spacing_m)[0]

@@ -171,5 +171,4 @@ class DeformablePart(ABC):
 
 def particle_positions_m(entity: Any) -> FloatArray:
     """Return the positions of the particles of an entity [m], shape [particle_count, 3]."""
-    positions: FloatArray = entity.get_particles_pos()[0].numpy().astype(np.float64)
-    return positions
+    return entity.get_particles_pos()[0].numpy().astype(np.float64)

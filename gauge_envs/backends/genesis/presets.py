@@ -17,19 +17,11 @@ from gauge_envs.backends.genesis.settings import (
 )
 from gauge_envs.backends.settings import STACK_BODY_COUNT, resolve_settings
 from gauge_envs.backends.shared.attachments import attachment_problems
-from gauge_envs.backends.shared.bundled import first_of
+from gauge_envs.backends.shared.bundled import first_of, unsupported_joints
 from gauge_envs.backends.shared.soft_rows import soft_row_problems
 from gauge_envs.backends.shared.spring_damper import impact_speed_m_per_s
 from gauge_envs.errors import UnsupportedSceneError
-from gauge_envs.scene import (
-    Cloth,
-    ContactMode,
-    Motion,
-    Rod,
-    Rope,
-    Scene,
-    SoftBody,
-)
+from gauge_envs.scene import Cloth, ContactMode, Rod, Rope, Scene, SoftBody
 
 FRICTIONLESS_IMPRATIO = 1e-9
 """Ratio of frictional to normal impedance in scenes without friction. Signorini contacts keep their normal force."""
@@ -99,11 +91,7 @@ def _preset_name(scene: Scene) -> str:
 
 def unsupported_features(scene: Scene, settings: SettingsGenesis) -> Iterator[str]:
     """Yield one sentence for each kind of unsupported feature of a scene."""
-    for joint in scene.joints:
-        if scene.body(joint.body).motion is not Motion.DYNAMIC:
-            motion = scene.body(joint.body).motion.value
-            yield f"{joint.body!r} has a {type(joint).__name__} and is {motion}: only dynamic bodies have joints"
-            break
+    yield from unsupported_joints(scene)
     yield from unsupported_contacts(scene, settings)
     yield from unsupported_deformables(scene)
 
@@ -113,18 +101,14 @@ def unsupported_deformables(scene: Scene) -> Iterator[str]:
     lines = [body.name for body in scene.deformables if isinstance(body, Rope | Rod)]
     if lines:
         yield f"{first_of(lines)} is a line: Genesis has no solver of ropes and rods"
-    yield from attachment_problems(scene, not_to_dynamic=Cloth | SoftBody)
+    yield from attachment_problems(scene)
     yield from _unsupported_cloth(scene)
     yield from _unsupported_solids(scene)
 
 
 def _unsupported_cloth(scene: Scene) -> Iterator[str]:
     cloths = {body.name for body in scene.deformables if isinstance(body, Cloth)}
-    for attachment in scene.attachments:
-        if attachment.deformable in cloths and attachment.region.axis == "z":
-            yield f"cloth {attachment.deformable!r} is attached to {attachment.to!r} by its face, not by an edge"
-            break
-    dynamic = {body.name for body in scene.bodies if body.motion is Motion.DYNAMIC}
+    dynamic = {body.name for body in scene.dynamic_bodies}
     loads = sorted(
         name
         for name, partner, _ in touching_bodies(scene)

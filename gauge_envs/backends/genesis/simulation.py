@@ -192,7 +192,7 @@ class SimulationGenesis(PlacedSimulation):
             solver.get_links_vel(links),
             solver.get_links_ang(links),
         )
-        states: FloatArray = np.concatenate(
+        states = np.concatenate(
             [column.numpy() for column in columns], axis=-1, dtype=np.float64
         )
         states[..., 3:7] /= np.linalg.norm(states[..., 3:7], axis=-1, keepdims=True)
@@ -207,8 +207,7 @@ class SimulationGenesis(PlacedSimulation):
         """Return the positions of a deformable body's nodes [m], shape [1, node_count, 3]."""
         if self._part is None:
             raise KeyError(name)
-        positions_m: FloatArray = self._part.nodes(name)
-        return positions_m[None]
+        return self._part.nodes(name)[None]
 
     def track(self, name: str, points_m: FloatArray) -> MaterialPoints | None:
         """Return a reader of material points; see `Simulation.track`."""

@@ -13,11 +13,7 @@ from gauge_envs.backends.mujoco.contacts import (
 )
 from gauge_envs.backends.mujoco.flex import FlexPart
 from gauge_envs.backends.mujoco.line import LinePartMuJoCo, add_rod, add_rope
-from gauge_envs.backends.mujoco.settings import (
-    CLOTH_CELL_M,
-    ROPE_CELL_M,
-    SettingsMuJoCo,
-)
+from gauge_envs.backends.mujoco.settings import CLOTH_CELL_M, SettingsMuJoCo
 from gauge_envs.backends.mujoco.soft import add_soft
 from gauge_envs.backends.shared.attachments import (
     attachment_problems,
@@ -57,9 +53,8 @@ def add_deformables(
                 else None,
             )
         elif isinstance(body, Rope):
-            cell_m = settings.cell_m or ROPE_CELL_M
             parts[body.name] = add_rope(
-                spec, body, attachments=attachments, cell_m=cell_m
+                spec, body, attachments=attachments, cell_m=settings.cell_m
             )
         elif not isinstance(body, SoftBody):
             parts[body.name] = add_rod(
@@ -79,7 +74,7 @@ def add_deformables(
 
 def unsupported_features(scene: Scene) -> Iterator[str]:
     """Yield one sentence for each feature of the scene's deformable bodies that this backend does not support."""
-    yield from attachment_problems(scene, not_to_dynamic=Cloth | SoftBody)
+    yield from attachment_problems(scene)
     yield from _frictions_in_conflict(scene)
 
 

@@ -14,14 +14,20 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gauge_envs.backends.mujoco.flex import FlexPart, Points, make_firm
+from gauge_envs.backends.mujoco.flex import (
+    DAMPING_S,
+    STIFF_SOLIMP,
+    FlexPart,
+    Points,
+    make_firm,
+)
 from gauge_envs.backends.mujoco.settings import ROPE_CELL_M
 from gauge_envs.backends.shared.attachments import (
     RigidAttachment,
     attached_ends,
+    places_on_line,
     points_on_axis,
 )
-from gauge_envs.errors import ShapeError
 from gauge_envs.scene import Rod, Rope
 from gauge_envs.scene.geometry import FloatArray, length_of
 
@@ -33,9 +39,7 @@ EDGE_SOLIMP = (0.9999, 0.9999, 1e-4, 0.5, 2.0)
 """Constants of the distance constraints of a rope. MuJoCo raises a time constant below two time steps to these."""
 
 CONTACT_SOLREF = (2e-3, 1.0)
-CONTACT_SOLIMP = (0.9999, 0.9999, 0.001, 0.5, 2.0)
-"""Constants of contacts. MuJoCo softens the contacts of light bodies: with its default impedance, two balls of 0.3 kg
-pull a rope of 5 g through its beam."""
+"""Time constant [s] and damping ratio of contacts."""
 
 
 class LinePartMuJoCo(FlexPart):
@@ -57,22 +61,9 @@ class LinePartMuJoCo(FlexPart):
 
     def track(self, points_m: ArrayLike) -> Callable[[], FloatArray]:
         """Return a reader of material points in or on the line; each moves with its cross-section, without twist."""
-        start_m = self.rest_m[0]
-        span_m = self.rest_m[-1] - start_m
-        length_m = length_of(span_m)
-        axis = span_m / length_m
-        count = len(self.rest_m) - 1
-        # Distances from the start along the line, in segments.
-        places = (
-            (np.asarray(points_m, dtype=np.float64) - start_m) @ axis / length_m * count
-        )
-        if not np.all((places > -1e-3) & (places < count + 1e-3)):
-            raise ShapeError(
-                f"a point lies beyond an end of {self.name!r}: track points within its length"
-            )
-        segment = np.clip(np.floor(places).astype(int), 0, count - 1)
-        share = (places - segment)[:, None]
-        offsets_m = points_m - (start_m + (places * length_m / count)[:, None] * axis)
+        segment, share, offsets_m = places_on_line(self.name, self.rest_m, points_m)
+        span_m = self.rest_m[-1] - self.rest_m[0]
+        axis = span_m / length_of(span_m)
 
         def between(values: FloatArray) -> FloatArray:
             """Return the values of nodes at the points."""
@@ -103,7 +94,7 @@ def add_rope(
     rope: Rope,
     *,
     attachments: Sequence[RigidAttachment],
-    cell_m: float = ROPE_CELL_M,
+    cell_m: float | None,
 ) -> LinePartMuJoCo:
     """Add a rope without contacts.
 
@@ -111,10 +102,10 @@ def add_rope(
         spec: Editable model that contains the rigid bodies.
         rope: The rope. Its Young's modulus is unused, because a rope is inextensible.
         attachments: Attachments of its ends; moving bodies need a free joint.
-        cell_m: Desired distance between neighbouring nodes [m].
+        cell_m: Desired distance between neighbouring nodes [m]; None gives `ROPE_CELL_M`.
     """
     ends = attached_ends(rope, attachments)
-    count = max(2, round(rope.length_m / cell_m))
+    count = max(2, round(rope.length_m / (cell_m or ROPE_CELL_M)))
     rest_m = points_on_axis(rope, np.linspace(-0.5, 0.5, count + 1) * rope.length_m)
     flex = _add_flex(spec, rope, rest_m, rope.mass_kg)
     node_of = {"low": 0, "high": count}
@@ -127,8 +118,7 @@ def add_rod(
     rod: Rod,
     *,
     attachments: Sequence[RigidAttachment],
-    cell_m: float | None = None,
-    damping_s: float = 1e-4,
+    cell_m: float | None,
 ) -> LinePartMuJoCo:
     """Add a rod without contacts. Attached ends keep their position and direction.
 
@@ -140,7 +130,6 @@ def add_rod(
         rod: The rod. Its Poisson ratio is unused, because it only affects twist.
         attachments: Attachments of its ends; moving bodies need a free joint.
         cell_m: Desired length of the segments [m]; None gives `ROD_SEGMENTS` segments.
-        damping_s: Viscous part of the bending moment, as the time that multiplies the rate of curvature [s].
     """
     ends = attached_ends(rod, attachments)
     depths_m = {side: end.region.depth_m for side, end in ends.items()}
@@ -155,7 +144,7 @@ def add_rod(
         start -= 0.5 * segment
     rest_m = points_on_axis(rod, start + segment * np.arange(count + 1))
     flex = _add_flex(spec, rod, rest_m, rod.mass_kg * segment * count / rod.length_m)
-    flex.young, flex.damping = rod.young_modulus_pa, damping_s
+    flex.young, flex.damping = rod.young_modulus_pa, DAMPING_S
     stretch_s = _stretch_time_constant_s(rod, segment, count=count, clamps=len(ends))
     if spec.option.integrator == getattr(mujoco.mjtIntegrator, "mjINT_DISCRETE", None):
         # It takes positions at the end of the step, which lengthens the time constant by one step.
@@ -183,7 +172,7 @@ def add_rod(
             contype=0,
             conaffinity=0,
             solref=list(CONTACT_SOLREF),
-            solimp=list(CONTACT_SOLIMP),
+            solimp=list(STIFF_SOLIMP),
         )
         geoms.append(geom)
     return LinePartMuJoCo(flex, rest_m, points, geoms)
@@ -249,7 +238,7 @@ def _add_flex(
         body.explicitinertial = True
         body.ipos = [0.0, 0.0, 0.0]
         body.mass = mass
-    make_firm(flex, CONTACT_SOLREF, CONTACT_SOLIMP)
+    make_firm(flex, CONTACT_SOLREF)
     edges = _distances(spec, line)
     edges.solref, edges.solimp = list(EDGE_SOLREF), list(EDGE_SOLIMP)
     return flex

@@ -12,7 +12,7 @@ from gauge_envs.backends.mujoco.deformables import (
     add_deformables,
     add_flex_contact,
 )
-from gauge_envs.backends.mujoco.flex import FlexPart
+from gauge_envs.backends.mujoco.flex import STIFF_SOLIMP, FlexPart
 from gauge_envs.backends.mujoco.options import set_option
 from gauge_envs.backends.mujoco.settings import SettingsMuJoCo
 from gauge_envs.errors import ParameterError
@@ -39,10 +39,6 @@ START_KEY = "start"
 
 EXPLICIT_PAIR_LIMIT = 1000
 """Largest number of explicit geom pairs of a contact; contacts with more use MuJoCo's broad phase."""
-
-STIFF_IMPEDANCE = (0.9999, 0.9999, 0.001, 0.5, 2.0)
-"""MuJoCo's `solimp` of strings."""
-
 
 ROUND = {
     Cylinder: mujoco.mjtGeom.mjGEOM_CYLINDER,
@@ -156,26 +152,21 @@ def _compiled(spec: mujoco.MjSpec) -> mujoco.MjModel:
 
 
 def start_velocities(scene: Scene, model: mujoco.MjModel) -> NDArray[np.float64]:
-    """Return the velocities of a model's joints at the start of a scene, shape [nv]; see `start_rates`."""
+    """Return the velocities of a model's joints at the start of a scene, shape [nv].
+
+    A free joint has the linear velocity of the body origin in the world frame [m/s] and the angular velocity in the
+    body frame [rad/s].
+    """
     velocities = np.zeros(model.nv)
     for body in scene.dynamic_bodies:
-        rates = start_rates(body, scene.hinges.get(body.name))
+        angular = np.array(body.angular_velocity_rad_per_s)
         first = int(model.joint(body.name).dofadr[0])
-        velocities[first : first + len(rates)] = rates
+        if body.name in scene.hinges:
+            velocities[first] = angular @ scene.hinges[body.name].axis
+        else:
+            velocities[first : first + 3] = body.linear_velocity_m_per_s
+            velocities[first + 3 : first + 6] = angular @ body.pose.matrix
     return velocities
-
-
-def start_rates(body: RigidBody, hinge: Hinge | None) -> NDArray[np.float64]:
-    """Return the velocity of a body's joint at the start.
-
-    Returns:
-        The rate of a hinge [rad/s], shape [1]. For a free joint, shape [6]: the linear velocity of the body origin in
-        the world frame [m/s] and the angular velocity in the body frame [rad/s].
-    """
-    angular = np.array(body.angular_velocity_rad_per_s)
-    if hinge is not None:
-        return np.array([angular @ hinge.axis])
-    return np.concatenate([body.linear_velocity_m_per_s, angular @ body.pose.matrix])
 
 
 def _set_options(spec: mujoco.MjSpec, settings: SettingsMuJoCo) -> None:
@@ -207,9 +198,11 @@ def _add_body(
     if body.motion is Motion.FIXED:
         return geoms
     if hinge is not None:
-        anchor_m, axis = hinge_in_body(body, hinge)
         frame.add_joint(
-            type=mujoco.mjtJoint.mjJNT_HINGE, name=body.name, pos=anchor_m, axis=axis
+            type=mujoco.mjtJoint.mjJNT_HINGE,
+            name=body.name,
+            pos=body.pose.to_body(hinge.anchor_m),
+            axis=hinge.axis @ body.pose.matrix,
         )
     else:
         frame.add_freejoint(name=body.name)
@@ -231,16 +224,6 @@ def _add_body(
     return geoms
 
 
-def hinge_in_body(
-    body: RigidBody, hinge: Hinge
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the anchor [m] and the axis of a hinge in the frame of its body, each of shape [3]."""
-    return (
-        body.pose.to_body(np.asarray(hinge.anchor_m)),
-        np.asarray(hinge.axis) @ body.pose.matrix,
-    )
-
-
 def _volumes_m3(shape: Shape | Capsule | Ellipsoid) -> list[float]:
     """Return the volume of each geom of a shape [m^3]."""
     if isinstance(shape, Compound):
@@ -258,7 +241,7 @@ def _add_tether(spec: mujoco.MjSpec, tether: Tether, settings: SettingsMuJoCo) -
     tendon = spec.add_tendon(name=name, limited=True, range=[0.0, tether.length_m])
     # Twice the time step is the stiffest stable limit.
     tendon.solref_limit = [max(2.0 * settings.timestep_s, 1e-3), 1.0]
-    tendon.solimp_limit = STIFF_IMPEDANCE
+    tendon.solimp_limit = STIFF_SOLIMP
     tendon.wrap_site(f"{name}/anchor")
     tendon.wrap_site(f"{name}/end")
 

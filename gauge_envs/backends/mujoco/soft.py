@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gauge_envs.backends.mujoco.flex import (
+    DAMPING_S,
     FlexPart,
     Points,
     free_joint_views,
@@ -53,10 +54,6 @@ pushes with 0.6 N too much. At 0.01 mm, a row of blocks is thrown off the edge t
 
 CONTACT_TIME_S = 0.0025
 """Time constant of contacts [s]; two time steps where these are longer, as `refsafe` does not raise it for a flex."""
-
-CONTACT_SOLIMP = (0.9999, 0.9999, 0.001, 0.5, 2.0)
-"""Impedance of contacts. MuJoCo softens the contacts of light bodies, and the nodes of a foam weigh 20 mg. A cube sinks
-through the foam with MuJoCo's default impedance, and by 0.1 mm with this one. Smaller cells have lighter nodes."""
 
 
 class Grip:
@@ -168,9 +165,8 @@ class SoftPartMuJoCo(FlexPart):
 
     def track(self, points_m: ArrayLike) -> Callable[[], FloatArray]:
         """Return a reader of material points by the shape functions of the elements; see `Simulation.track`."""
-        weights = self._lattice.weights(
-            self._soft_row.checked(np.asarray(points_m, dtype=np.float64))
-        )
+        points_m = np.asarray(points_m, dtype=np.float64)
+        weights = self._lattice.weights(self._soft_row.checked(points_m))
         return lambda: weights @ self.points.positions()
 
 
@@ -255,8 +251,7 @@ def add_soft(
     *,
     grip_mass_kg: float,
     timestep_s: float,
-    cell_m: float | None = None,
-    damping_s: float = 1e-4,
+    cell_m: float | None,
 ) -> SoftPartMuJoCo:
     """Add a soft body or a soft row without contacts.
 
@@ -266,14 +261,9 @@ def add_soft(
         grip_mass_kg: Mass of each node that moves with a driven body.
         timestep_s: Time step [s]; contacts have a time constant of two or more.
         cell_m: Largest edge of a cell [m]; None gives each body `LONE_CELLS` or `BONDED_CELLS` along and across.
-        damping_s: Viscous part of the stress, as the time that multiplies the rate of strain [s].
     """
-    axis, blocks, low_m, high_m = (
-        soft_row.axis,
-        soft_row.blocks,
-        soft_row.low_m,
-        soft_row.high_m,
-    )
+    axis, blocks = soft_row.axis, soft_row.blocks
+    low_m, high_m = soft_row.low_m, soft_row.high_m
     each = _cells_of_a_block(blocks, axis, cell_m)
     layers = _layers_of_blocks(blocks, axis, each[axis])
     cells = list(each)
@@ -296,13 +286,11 @@ def add_soft(
         radius=SKIN_M,
     )
     # `complete` writes the stiffness of each cell; these two values only make MuJoCo reserve the memory.
-    flex.young, flex.poisson = (
-        blocks[0].body.young_modulus_pa,
-        blocks[0].body.poisson_ratio,
-    )
-    flex.damping = damping_s
+    flex.young = blocks[0].body.young_modulus_pa
+    flex.poisson = blocks[0].body.poisson_ratio
+    flex.damping = DAMPING_S
     contact_time_s = max(CONTACT_TIME_S, 2.0 * timestep_s)
-    make_firm(flex, (contact_time_s, 1.0), CONTACT_SOLIMP)
+    make_firm(flex, (contact_time_s, 1.0))
 
     densities = np.repeat([block.density_kg_per_m3 for block in blocks], layers)
     masses_kg = lattice.node_masses(densities * np.prod(lattice.cell_m))
@@ -323,8 +311,8 @@ def add_soft(
             )
             for name in grips[-1].names:
                 spec.body(name).mass, spec.body(name).gravcomp = grip_mass_kg, 1.0
-        centre_m, size_m = _gripped_box_m(soft_row, side)
-        _add_gripped_material(spec, flex, attachment, centre_m, size_m)
+        low_m, high_m = soft_row.beyond_m(side, attachment.region.depth_m)
+        _add_gripped_material(spec, flex, attachment, low_m, high_m)
     points = Points(list(flex.nodebody), lattice.rest_m, attached)
     flex.nodebody, flex.node = points.carriers()
     points.delete_attached(spec)
@@ -371,32 +359,20 @@ def _layers_of_blocks(
     )
 
 
-def _gripped_box_m(soft_row: SoftRow, side: str) -> tuple[FloatArray, FloatArray]:
-    """Return centre and size of the material in a grip at the start [m], shape [3] each."""
-    axis, low_m, high_m = soft_row.axis, soft_row.low_m, soft_row.high_m
-    centre, size = 0.5 * (low_m + high_m), high_m - low_m
-    size[axis] = soft_row.ends[side].region.depth_m
-    if side == "low":
-        centre[axis] = low_m[axis] - 0.5 * size[axis]
-    else:
-        centre[axis] = high_m[axis] + 0.5 * size[axis]
-    return centre, size
-
-
 def _add_gripped_material(
     spec: mujoco.MjSpec,
     flex: mujoco.MjsFlex,
     attachment: RigidAttachment,
-    centre_m: FloatArray,
-    size_m: FloatArray,
+    low_m: FloatArray,
+    high_m: FloatArray,
 ) -> None:
-    """Add a massless box without contacts that shows the material in a grip."""
-    if not np.all(size_m):
+    """Add a massless box without contacts that shows the material in a grip between two corners [m], shape [3]."""
+    if not attachment.region.depth_m:
         return
     spec.body(attachment.body).add_geom(
         type=mujoco.mjtGeom.mjGEOM_BOX,
-        size=(0.5 * size_m).tolist(),
-        pos=attachment.pose.to_body(centre_m).tolist(),
+        size=(0.5 * (high_m - low_m)).tolist(),
+        pos=attachment.pose.to_body(0.5 * (low_m + high_m)).tolist(),
         quat=attachment.pose.rotation.inv().as_quat(scalar_first=True).tolist(),
         rgba=flex.rgba,
         mass=0.0,

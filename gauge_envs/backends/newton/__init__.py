@@ -22,11 +22,7 @@ from gauge_envs.backends.newton.settings import (
     SettingsVBD,
     settings_for,
 )
-from gauge_envs.backends.shared.attachments import (
-    attached_ends,
-    attachment_problems,
-    rigid_attachments,
-)
+from gauge_envs.backends.shared.attachments import attachment_problems
 from gauge_envs.backends.shared.bundled import BundledBackend, check_settings
 from gauge_envs.backends.shared.soft_rows import soft_row_problems
 from gauge_envs.backends.simulation import Simulation
@@ -127,11 +123,7 @@ def _unsupported_features(scene: Scene, settings: SettingsNewton) -> Iterator[st
     yield from unsupported_surface_contacts(scene, per_body=per_body)
     yield from _rebounds(scene)
     yield from _unsupported_lines(scene)
-    yield from attachment_problems(scene, not_to_dynamic=Cloth)
-    cloths = {body.name for body in scene.deformables if isinstance(body, Cloth)}
-    for attachment in scene.attachments:
-        if attachment.region.axis == "z" and attachment.deformable in cloths:
-            yield f"cloth {attachment.deformable!r} is attached to {attachment.to!r} by its face, not by an edge"
+    yield from attachment_problems(scene)
     yield from soft_row_problems(scene)
     if isinstance(settings, SettingsImplicitMPM) and scene.dynamic_bodies:
         yield (
@@ -156,20 +148,7 @@ def _rebounds(scene: Scene) -> Iterator[str]:
 
 
 def _unsupported_lines(scene: Scene) -> Iterator[str]:
-    lines = [body for body in scene.deformables if isinstance(body, Rope | Rod)]
-    names = {line.name for line in lines}
-    other_names = [body.name for body in scene.deformables if body.name not in names]
-    if lines and other_names:
-        yield f"{lines[0].name!r} shares a scene with {other_names[0]!r}: ropes and rods need a scene of rigid bodies"
-    rigid = {body.name for body in scene.bodies}
-    for attachment in scene.attachments:
-        if {
-            attachment.deformable,
-            attachment.to,
-        } & names and attachment.to not in rigid:
-            yield f"{attachment.deformable!r} is attached to {attachment.to!r}, which is not a rigid body"
-    for line in lines:
-        try:
-            attached_ends(line, rigid_attachments(scene, line.name))
-        except UnsupportedSceneError as error:
-            yield str(error)
+    lines = [body.name for body in scene.deformables if isinstance(body, Rope | Rod)]
+    others = [body.name for body in scene.deformables if body.name not in lines]
+    if lines and others:
+        yield f"{lines[0]!r} shares a scene with {others[0]!r}: ropes and rods need a scene of rigid bodies"

@@ -6,7 +6,8 @@ consist of particles, which share one friction.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
+from itertools import product
 
 import numpy as np
 
@@ -43,8 +44,8 @@ class ShapeConstants:
     solref: tuple[float, float]
     solimp: tuple[float, ...]
     friction_gain_n_s_per_m: float
-    torsion_m: float = 0.0
-    rolling_m: float = 0.0
+    torsion_m: float
+    rolling_m: float
 
 
 def _constants(
@@ -57,32 +58,28 @@ def _constants(
         mass_kg: Reduced mass of the two bodies, m1 m2 / (m1 + m2).
         settings: Settings of the solver.
     """
+    solref = settings.sustained_solref
+    solimp: tuple[float, ...] = settings.sustained_solimp
+    gain = FRICTION_AS_NORMAL
     if settings.contact_solref is not None:
-        gain = settings.contact_kf_n_s_per_m
-        return ShapeConstants(
-            contact.friction,
-            settings.contact_solref,
-            settings.contact_solimp or DEFAULT_SOLIMP,
-            DEFAULT_KF_N_S_PER_M if gain is None else gain,
-        )
-    if contact.mode is ContactMode.SUSTAINED:
-        return ShapeConstants(
-            contact.friction,
-            settings.sustained_solref,
-            settings.sustained_solimp,
-            FRICTION_AS_NORMAL,
-        )
-    # One step changes the normal velocity v to -e v, as in the MuJoCo backend. Friction must stop the tangential motion
-    # instead. That needs a damping of 1/h, which Newton computes as a gain times the inverse mass of the bodies.
-    step, width = settings.timestep_s, settings.impact_solimp[1]
-    solref = (-settings.impact_stiffness / step**2, -(1.0 + contact.restitution) / step)
-    share = (1.0 - width) / settings.impratio + width
-    gain = (
-        width / step * mass_kg / share
-        if settings.cone == "elliptic"
-        else FRICTION_AS_NORMAL
+        solref = settings.contact_solref
+        solimp = settings.contact_solimp or DEFAULT_SOLIMP
+        gain = DEFAULT_KF_N_S_PER_M
+        if settings.contact_kf_n_s_per_m is not None:
+            gain = settings.contact_kf_n_s_per_m
+    elif contact.mode is ContactMode.IMPACT:
+        # One step changes the normal velocity v to -e v, as in the MuJoCo backend. Friction must stop the tangential
+        # motion instead. That needs a damping of 1/h, which Newton computes as a gain times the inverse mass.
+        step = settings.timestep_s
+        damping_per_s = -(1.0 + contact.restitution) / step
+        solref = (-settings.impact_stiffness / step**2, damping_per_s)
+        solimp = settings.impact_solimp
+        if settings.cone == "elliptic":
+            share = (1.0 - solimp[1]) / settings.impratio + solimp[1]
+            gain = solimp[1] / step * mass_kg / share
+    return ShapeConstants(
+        contact.friction, solref, solimp, gain, contact.torsion_m, contact.rolling_m
     )
-    return ShapeConstants(contact.friction, solref, settings.impact_solimp, gain)
 
 
 def pair_constants(
@@ -90,19 +87,12 @@ def pair_constants(
 ) -> dict[frozenset[str], ShapeConstants]:
     """Return the constants of each colliding pair of bodies."""
     inverse_masses = {body.name: 1.0 / body.mass_kg for body in scene.dynamic_bodies}
-    return {
-        frozenset(pair): replace(
-            _constants(
-                contact,
-                1.0 / sum(inverse_masses.get(name, 0.0) for name in pair),
-                settings,
-            ),
-            torsion_m=contact.torsion_m,
-            rolling_m=contact.rolling_m,
-        )
-        for contact in scene.contacts
-        for pair in scene.colliding_pairs(contact)
-    }
+    constants = {}
+    for contact in scene.contacts:
+        for pair in scene.colliding_pairs(contact):
+            mass_kg = 1.0 / sum(inverse_masses.get(name, 0.0) for name in pair)
+            constants[frozenset(pair)] = _constants(contact, mass_kg, settings)
+    return constants
 
 
 def carried_constants(
@@ -142,17 +132,8 @@ class SurfaceContacts:
     itself: bool = False
 
 
-def surface_contacts(scene: Scene, *, per_body: bool = False) -> SurfaceContacts:
-    """Return the collision partners and the coefficients that give each pair of the scene its friction.
-
-    Args:
-        scene: The scene.
-        per_body: Whether each body made of particles may have its own rigid collision partners. This needs
-            collisions of vertices only.
-    """
-    problems = list(unsupported_surface_contacts(scene, per_body=per_body))
-    if problems:
-        raise UnsupportedSceneError("; ".join(problems))
+def surface_contacts(scene: Scene) -> SurfaceContacts:
+    """Return the collision partners and the coefficients that give each pair of the scene its friction."""
     pairs = _pairs(scene)
     solved = _side_frictions(pairs)
     friction = solved.pop(PARTICLES, 0.0)
@@ -167,10 +148,14 @@ def surface_contacts(scene: Scene, *, per_body: bool = False) -> SurfaceContacts
     )
 
 
-def unsupported_surface_contacts(
-    scene: Scene, *, per_body: bool = False
-) -> Iterator[str]:
-    """Yield one sentence for each contact that VBD does not support; arguments as in `surface_contacts`."""
+def unsupported_surface_contacts(scene: Scene, *, per_body: bool) -> Iterator[str]:
+    """Yield one sentence for each contact that VBD does not support.
+
+    Args:
+        scene: The scene.
+        per_body: Whether each body made of particles may have its own rigid collision partners. This needs
+            collisions of vertices only.
+    """
     try:
         pairs = _pairs(scene)
     except UnsupportedSceneError as error:
@@ -239,23 +224,19 @@ def _pairs(scene: Scene) -> dict[tuple[str, str], float]:
     moving = soft | lines | {body.name for body in scene.dynamic_bodies}
     frictions: dict[tuple[str, str], float] = {}
     for contact in scene.contacts:
-        for first in contact.first:
-            for second in contact.second:
-                if not {first, second} & moving or (
-                    first == second and first not in soft | lines
-                ):
-                    continue
-                low, high = sorted(
-                    PARTICLES if name in soft else name for name in (first, second)
+        for first, second in product(contact.first, contact.second):
+            is_rigid_alone = first == second and first not in soft | lines
+            if is_rigid_alone or moving.isdisjoint((first, second)):
+                continue
+            low, high = sorted(
+                PARTICLES if name in soft else name for name in (first, second)
+            )
+            known = frictions.setdefault((low, high), contact.friction)
+            if known != contact.friction:
+                raise UnsupportedSceneError(
+                    f"{first!r} and {second!r} have two coefficients of friction: Newton takes one for all "
+                    "deformable bodies"
                 )
-                if (
-                    frictions.setdefault((low, high), contact.friction)
-                    != contact.friction
-                ):
-                    raise UnsupportedSceneError(
-                        f"{first!r} and {second!r} have two coefficients of friction: Newton takes one for all "
-                        "deformable bodies"
-                    )
     return frictions
 
 

@@ -30,9 +30,9 @@ from gauge_envs.backends.shared.attachments import (
     LINE_AXIS,
     RigidAttachment,
     attached_ends,
+    places_on_line,
     points_on_axis,
 )
-from gauge_envs.errors import ShapeError
 from gauge_envs.scene import Cylinder, Pose, Rod, Rope
 from gauge_envs.scene.geometry import FloatArray, vector
 from gauge_envs.scene.meshes import mass_properties
@@ -91,17 +91,7 @@ class LinePartNewton(PartNewton):
 
     def track(self, points_m: FloatArray) -> Reader:
         """Return a reader of material points in or on the line, which move with their cross-section."""
-        span = self.rest_m[-1] - self.rest_m[0]
-        axis = span / np.linalg.norm(span)
-        places = (self.rest_m - self.rest_m[0]) @ axis
-        along = (points_m - self.rest_m[0]) @ axis
-        if not np.all((along > -1e-5) & (along < places[-1] + 1e-5)):
-            raise ShapeError(
-                f"a point lies beyond an end of {self.name!r}: track points within its length"
-            )
-        low = np.clip(np.searchsorted(places, along) - 1, 0, len(places) - 2)
-        share = ((along - places[low]) / (places[low + 1] - places[low]))[:, None]
-        offsets = points_m - self.rest_m[0] - along[:, None] * axis
+        low, share, offsets = places_on_line(self.name, self.rest_m, points_m)
 
         def read(stepper: Stepper) -> FloatArray:
             poses = _poses(stepper)
@@ -117,7 +107,7 @@ class LinePartNewton(PartNewton):
         at = poses[:, [anchor.body for anchor in anchors]]
         places_m = np.array([anchor.place_m for anchor in anchors])
         points = at[..., :3] + rotated(at[..., 3:], places_m)
-        return np.asarray(points.reshape(len(poses), -1, 2, 3).mean(axis=2))
+        return points.reshape(len(poses), -1, 2, 3).mean(axis=2)
 
     def _rotations(self, poses: FloatArray) -> FloatArray:
         """Return the rotation of the line at each node since the start, x, y, z, w, shape [N, node_count, 4]."""
@@ -139,7 +129,7 @@ class LinePartNewton(PartNewton):
 
 
 def _unit(quaternions: FloatArray) -> FloatArray:
-    return np.asarray(quaternions / np.linalg.norm(quaternions, axis=-1, keepdims=True))
+    return quaternions / np.linalg.norm(quaternions, axis=-1, keepdims=True)
 
 
 def add_line(
@@ -166,12 +156,11 @@ def add_line(
         touches_itself: Whether segments collide with those that are not close along the line.
     """
     ends = attached_ends(line, attachments)
+    depths_m = {side: end.region.depth_m for side, end in ends.items()}
     # The ends of the free length, as signed distances from the middle of the line.
-    low_m, depth_m = (
-        ends[side].region.depth_m if side in ends else 0.0 for side in ("low", "high")
-    )
-    low_m, high_m = low_m - 0.5 * line.length_m, 0.5 * line.length_m - depth_m
-    segments = _segment_count(line, attachments, settings)
+    low_m = depths_m.get("low", 0.0) - 0.5 * line.length_m
+    high_m = 0.5 * line.length_m - depths_m.get("high", 0.0)
+    segments = _segment_count(line, high_m - low_m, settings)
     length_m = (high_m - low_m) / segments
     nodes_m = points_on_axis(line, low_m + length_m * np.arange(segments + 1))
     rotation = line.pose.rotation * ROTATION_TO_AXIS[LINE_AXIS[type(line)]]
@@ -182,24 +171,22 @@ def add_line(
     }
     links = _add_segments(builder, line, nodes_m, rotation, length_m, fixed)
     shapes = _add_capsules(builder, line, links, length_m=length_m, ends=ends)
-    for low_index, high_index in combinations(range(segments), 2):
-        if (
-            not touches_itself
-            or (high_index - low_index - 1) * length_m < CLEAR_RADII * line.radius_m
-        ):
-            builder.add_shape_collision_filter_pair(
-                shapes[low_index], shapes[high_index]
-            )
+    for first, second in combinations(range(segments), 2):
+        clearance_m = (second - first - 1) * length_m
+        if not touches_itself or clearance_m < CLEAR_RADII * line.radius_m:
+            builder.add_shape_collision_filter_pair(shapes[first], shapes[second])
 
     half = 0.5 * length_m
     low, high = (
         [_Anchor(body=b, place_m=(0.0, 0.0, z), start=rotation) for b in links]
         for z in (-half, half)
     )
-    first = _anchor_on(ends["low"], bodies, nodes_m[0]) if "low" in ends else low[0]
-    last = _anchor_on(ends["high"], bodies, nodes_m[-1]) if "high" in ends else high[-1]
     # The body of an attached end comes first in its pair, because Newton accepts the world only as parent.
-    anchors = list(zip([first, *high[:-1], last], [*low, high[-1]], strict=True))
+    parents = [low[0], *high]
+    for side, end in ends.items():
+        node = 0 if side == "low" else -1
+        parents[node] = _anchor_on(end, bodies, nodes_m[node])
+    anchors = list(zip(parents, [*low, high[-1]], strict=True))
     stiffness = _stiffness(line, length_m, segments, settings, load_n)
     for index, (parent, child) in enumerate(anchors):
         if parent is not child:
@@ -225,17 +212,12 @@ def add_line(
     )
 
 
-def _segment_count(
-    line: Rope | Rod, attachments: Sequence[RigidAttachment], settings: SettingsLines
-) -> int:
-    """Return the number of segments outside the grips."""
+def _segment_count(line: Rope | Rod, free_m: float, settings: SettingsLines) -> int:
+    """Return the number of segments of the free length [m], outside the grips."""
     if isinstance(line, Rope):
         return max(2, round(line.length_m / (settings.cell_m or ROPE_CELL_M)))
     if settings.cell_m is None:
         return ROD_SEGMENTS
-    free_m = line.length_m - sum(
-        attachment.region.depth_m for attachment in attachments
-    )
     return max(2, round(free_m / settings.cell_m))
 
 

@@ -170,7 +170,7 @@ def _add_particle_scene(
         particles |= {name: soft.block_particles(name) for name in soft.names}
         margin_m = settings.soft_contact_radius_m
         rigid.shapes.update(soft.add_block_shapes(builder, margin_m))
-    contacts = surface_contacts(scene, per_body=not settings.full_surface)
+    contacts = surface_contacts(scene)
     _apply_contacts(contacts, builder, rigid.shapes)
     keep_apart(builder, scene, rigid)
     passing = _passing_pairs(contacts, particles, rigid.shapes)

@@ -46,8 +46,7 @@ def fitted_voxel_m(soft_row: SoftRow, settings: SettingsImplicitMPM) -> float:
     One voxel is centred at the world's origin, and a point in a grip holds its whole voxel. The free length is
     therefore the distance of two grid planes, which may be a voxel too short.
     """
-    low_m = soft_row.low_m[soft_row.axis]
-    high_m = soft_row.high_m[soft_row.axis]
+    low_m, high_m = soft_row.face_m("low"), soft_row.face_m("high")
     voxels_m = (settings.cell_m or VOXEL_M) * np.linspace(*VOXEL_RANGE, 601)
     # The outermost gripped point sits half a spacing beyond the face.
     beyond_m = 0.5 * voxels_m / settings.points_per_voxel_edge
@@ -95,8 +94,8 @@ class SoftPartMPM(SoftRowPart):
         """Return a reader of material points: weighted means of the nearest particles, exact for linear deformation."""
         points = self._soft_row.checked(points_m)
         nearest, weights = linear_weights(self._points_m, points)
-        return lambda stepper: np.asarray(
-            np.einsum("pk,npki->npi", weights, self.positions(stepper)[:, nearest])
+        return lambda stepper: np.einsum(
+            "pk,npki->npi", weights, self.positions(stepper)[:, nearest]
         )
 
 
@@ -106,7 +105,7 @@ def add_soft_mpm(
     *,
     indices: Mapping[str, int],
     spacing_m: float,
-    damping_s: float = 0.0,
+    damping_s: float,
 ) -> SoftPartMPM:
     """Add a soft body or a soft row as material points.
 
@@ -131,16 +130,12 @@ def add_soft_mpm(
     gripped: list[FloatArray] = [np.zeros((0, 3))]
     pins: list[PinNewton] = []
     for side, attachment in soft_row.ends.items():
-        block = soft_row.blocks[0] if side == "low" else soft_row.blocks[-1]
-        low_m, high_m, axis = block.low_m.copy(), block.high_m.copy(), soft_row.axis
         depth_m = max(attachment.region.depth_m, spacing_m)
-        if side == "low":
-            low_m[axis], high_m[axis] = block.low_m[axis] - depth_m, block.low_m[axis]
-        else:
-            low_m[axis], high_m[axis] = block.high_m[axis], block.high_m[axis] + depth_m
-        points, cell_m = points_in_box_m(low_m, high_m, spacing_m)
+        grip_m = soft_row.beyond_m(side, depth_m)
+        points, cell_m = points_in_box_m(*grip_m, spacing_m)
         first = builder.particle_count
-        _add_points(builder, points, cell_m, block.body, 0.0, damping_s)
+        body = soft_row.end(side).body
+        _add_points(builder, points, cell_m, body, 0.0, damping_s)
         gripped.append(points)
         pins += pins_of(attachment, indices, range(first, first + len(points)), points)
     return SoftPartMPM(

@@ -103,7 +103,10 @@ class SimulationNewton(PlacedSimulation):
 
     def apply_wrench(self, body: str, wrenches: FloatArray) -> None:
         """Apply a force and a torque to a dynamic body, with the MuJoCo solver only."""
-        self._stepper.apply_wrench(self._bodies[body], wrenches)
+        if isinstance(self._stepper, StepperMuJoCo):
+            self._stepper.apply_wrench(self._bodies[body], wrenches)
+        else:
+            super().apply_wrench(body, wrenches)
 
     def contact_forces(self, pairs: Sequence[tuple[str, str]]) -> ContactForces | None:
         """Return a reader of contact forces, or None where the solver is not MuJoCo's."""

@@ -20,7 +20,6 @@ from numpy.typing import ArrayLike
 
 from gauge_envs.backends.newton.kernels import prescribe
 from gauge_envs.backends.shared.rigid import MeanForces
-from gauge_envs.errors import BackendError
 from gauge_envs.scene import Pose
 from gauge_envs.scene.geometry import BoolArray, FloatArray, IntArray
 
@@ -38,7 +37,7 @@ def rotated(quaternions: FloatArray, vectors: FloatArray) -> FloatArray:
     """Return vectors rotated by unit quaternions x, y, z, w; all axes except the last are broadcast."""
     axes = quaternions[..., :3]
     twice = 2.0 * np.cross(axes, vectors)
-    return np.asarray(vectors + quaternions[..., 3:] * twice + np.cross(axes, twice))
+    return vectors + quaternions[..., 3:] * twice + np.cross(axes, twice)
 
 
 def _arrays(state: newton.State) -> dict[str, Any]:
@@ -186,12 +185,6 @@ class Stepper(ABC):
         self._targets[:, row] = targets
         self._elapsed[:, row] = 0
 
-    def apply_wrench(self, body: int, wrenches: FloatArray) -> None:
-        """Apply a force and a torque to a body from the next step on; see `Simulation.apply_wrench`."""
-        raise BackendError(
-            f"{type(self.solver).__name__} cannot apply a force or torque: choose a preset with SolverMuJoCo"
-        )
-
     def advance(self, seconds: float) -> None:
         """Run the steps of an interval [s]."""
         if self._driven_rows:
@@ -230,7 +223,7 @@ class Stepper(ABC):
 
     def _copied(self, array: wp.array | None, columns: int) -> FloatArray:
         values = np.zeros(0) if array is None else array.numpy().astype(np.float64)
-        return np.asarray(values.reshape(self.world_count, -1, columns))
+        return values.reshape(self.world_count, -1, columns)
 
     def body_states(self, bodies: Sequence[int]) -> FloatArray:
         """Return the states of bodies, shape [N, len(bodies), 13]."""

@@ -1,24 +1,18 @@
 """NVIDIA PhysX 5 through SAPIEN: rigid bodies on the CPU. The first build imports SAPIEN, which takes 0.4 s."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator
 from types import MappingProxyType
-from typing import Any
-
-import numpy as np
 
 from gauge_envs.backends.features import Feature
 from gauge_envs.backends.physx.contacts import unsupported_contacts
 from gauge_envs.backends.physx.settings import settings_for
-from gauge_envs.backends.shared.bundled import BundledBackend, first_of
-from gauge_envs.backends.simulation import Simulation
-from gauge_envs.scene import (
-    Compound,
-    ConvexUnion,
-    Ellipsoid,
-    Motion,
-    RigidBody,
-    Scene,
+from gauge_envs.backends.shared.bundled import (
+    SingleWorldBackend,
+    first_of,
+    unsupported_joints,
 )
+from gauge_envs.backends.simulation import Simulation
+from gauge_envs.scene import Compound, ConvexUnion, Ellipsoid, RigidBody, Scene
 
 __all__ = ["BackendPhysX"]
 
@@ -26,7 +20,7 @@ HULL_LIMIT = 128
 """Largest number of vertices of a convex piece. PhysX makes 254 triangles at most, and simplifies larger hulls."""
 
 
-class BackendPhysX(BundledBackend):
+class BackendPhysX(SingleWorldBackend):
     """NVIDIA PhysX 5 on the CPU, in single precision, as SAPIEN ships it: rigid bodies, hinges and strings."""
 
     name = "physx"
@@ -57,32 +51,26 @@ class BackendPhysX(BundledBackend):
                 f"{first_of([body.name for body in scene.deformables])} is deformable: PhysX's cloth and foam need "
                 "a GPU, and SAPIEN has no ropes or rods"
             )
-        for name in scene.hinges:
-            motion = scene.body(name).motion
-            if motion is not Motion.DYNAMIC:
-                yield f"{name!r} has a hinge and is {motion.value}: only dynamic bodies have hinges"
-                break
+        yield from unsupported_joints(scene)
         for body in scene.bodies:
             yield from _unsupported_shape(body)
         yield from unsupported_contacts(scene)
 
-    def build(
-        self, scene: Scene, settings: Mapping[str, Any] | None = None
-    ) -> Simulation:
-        """Build a scene; settings are the fields of `SettingsPhysX`."""
-        chosen = settings_for(scene, settings)
+    def simulation(self) -> Callable[..., Simulation]:
+        """Return the class of simulations; the first call imports the engine."""
         from gauge_envs.backends.physx.simulation import SimulationPhysX
 
-        return SimulationPhysX(scene, chosen)
+        return SimulationPhysX
 
 
 def _unsupported_shape(body: RigidBody) -> Iterator[str]:
-    solids: list[object] = [body.shape]
-    if isinstance(body.shape, Compound):
-        solids = [part.shape for part in body.shape.parts]
-    if any(isinstance(solid, Ellipsoid) for solid in solids):
-        yield f"{body.name!r} contains an ellipsoid, and PhysX has no ellipsoids"
-    unions = [solid for solid in solids if isinstance(solid, ConvexUnion)]
+    shape = body.shape
+    if isinstance(shape, Compound):
+        if any(isinstance(part.shape, Ellipsoid) for part in shape.parts):
+            yield f"{body.name!r} contains an ellipsoid, and PhysX has no ellipsoids"
+        unions = [p.shape for p in shape.parts if isinstance(p.shape, ConvexUnion)]
+    else:
+        unions = [shape] if isinstance(shape, ConvexUnion) else []
     pieces = [piece for union in unions for piece in union.pieces_m]
     for number, piece in enumerate(pieces):
         count = len(piece)
@@ -90,7 +78,7 @@ def _unsupported_shape(body: RigidBody) -> Iterator[str]:
             # This slow import is not needed to list engines.
             from scipy.spatial import ConvexHull
 
-            count = len(ConvexHull(np.asarray(piece)).vertices)
+            count = len(ConvexHull(piece).vertices)
         if count > HULL_LIMIT:
             yield (
                 f"piece {number} of {body.name!r} has {count} vertices: PhysX simplifies pieces with more than "

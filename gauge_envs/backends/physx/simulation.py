@@ -6,15 +6,10 @@ import numpy as np
 
 from gauge_envs.backends.physx.model import ModelPhysX, physx_pose
 from gauge_envs.backends.physx.settings import SettingsPhysX
-from gauge_envs.backends.shared.rigid import (
-    PlacedSimulation,
-    later_targets,
-    placed_states,
-)
+from gauge_envs.backends.shared.rigid import SingleWorldSimulation, later_targets
 from gauge_envs.errors import BackendError
-from gauge_envs.scene import Pose, RigidBody, Scene
+from gauge_envs.scene import Pose, Scene
 from gauge_envs.scene.geometry import (
-    BoolArray,
     FloatArray,
     pose_distance,
     rotation_matrices,
@@ -26,37 +21,25 @@ SAME_POSE = 1e-5
 """Distance [m, rad] within which a driven body already has the initial pose of its interval."""
 
 
-class SimulationPhysX(PlacedSimulation):
+class SimulationPhysX(SingleWorldSimulation):
     """A scene in PhysX. A reset rebuilds it, since PhysX cannot forget its contacts."""
 
     def __init__(self, scene: Scene, settings: SettingsPhysX) -> None:
-        self.settings = settings.model_dump(mode="json")
-        self._scene = scene
+        super().__init__(scene, settings)
         self._chosen = settings
-        self._start(scene.bodies)
-
-    def _start(self, bodies: Sequence[RigidBody]) -> None:
-        self._model: ModelPhysX | None = ModelPhysX(self._scene, bodies, self._chosen)
-        self._wrenches: dict[str, FloatArray] = {}
-        self._driven: dict[str, FloatArray] = {}
-        self.placed = placed_states(self._scene)
+        self.reset()
 
     def _open(self) -> ModelPhysX:
         if self._model is None:
             raise BackendError("the PhysX simulation is closed: build another one")
         return self._model
 
-    def reset(
-        self,
-        starts: FloatArray | None = None,
-        seed: int = 0,
-        worlds: BoolArray | None = None,
-    ) -> None:
-        """Build the scene at its start. PhysX draws no random numbers, so the seed has no effect."""
-        bodies = self._scene.bodies
-        if starts is not None:
-            bodies = bodies_at(self._scene, starts[0])
-        self._start(bodies)
+    def start(self, states: FloatArray | None) -> None:
+        """Build the scene at its start."""
+        bodies = self.scene.bodies
+        if states is not None:
+            bodies = bodies_at(self.scene, states)
+        self._model: ModelPhysX | None = ModelPhysX(self.scene, bodies, self._chosen)
 
     def drive(self, body: str, targets: FloatArray) -> None:
         """Prescribe a kinematic body; PhysX moves it to its exact pose at the end of each step."""
@@ -65,27 +48,22 @@ class SimulationPhysX(PlacedSimulation):
         if pose_distance(current, start) > SAME_POSE:
             component = self._open().parts[body].component
             component.entity.set_pose(physx_pose(start))
-        self._driven[body] = targets[0].copy()
+        super().drive(body, targets)
         # Valid until the next step, which moves the body; after it, the state comes from PhysX.
         self.placed[body] = targets[0, :13].copy()
-
-    def apply_wrench(self, body: str, wrenches: FloatArray) -> None:
-        """Apply a force and a torque to a dynamic body; see `Simulation.apply_wrench`."""
-        self._wrenches[body] = wrenches[0].copy()
 
     def advance(self, seconds: float) -> None:
         """Step the scene."""
         model = self._open()
-        step_s = self._chosen.timestep_s
-        for step in range(1, round(seconds / step_s) + 1):
-            for name, motion in self._driven.items():
-                later = later_targets(motion[None], step * step_s)[0]
+        for step in range(1, round(seconds / self.step_s) + 1):
+            for name, motion in self.motions.items():
+                later = later_targets(motion[None], step * self.step_s)[0]
                 target = physx_pose(Pose.of_state(later))
                 model.parts[name].component.set_kinematic_target(target)
-            for name, wrench in self._wrenches.items():
+            for name, wrench in self.wrenches.items():
                 model.parts[name].component.add_force_torque(wrench[:3], wrench[3:])
             model.system.step()
-        for name in self._driven:
+        for name in self.motions:
             self.placed.pop(name, None)
 
     def moving_states(self, names: Sequence[str]) -> FloatArray:

@@ -4,19 +4,21 @@ The first build imports the engine.
 """
 
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator
 from types import MappingProxyType
-from typing import Any
 
 from gauge_envs.backends.features import Feature
 from gauge_envs.backends.pybullet.contacts import colliding_pairs, turning_shares
 from gauge_envs.backends.pybullet.settings import settings_for
 from gauge_envs.backends.shared.attachments import (
-    attached_ends,
     attachment_problems,
     rigid_attachments,
 )
-from gauge_envs.backends.shared.bundled import BundledBackend, unsupported_compounds
+from gauge_envs.backends.shared.bundled import (
+    SingleWorldBackend,
+    unsupported_compounds,
+    unsupported_joints,
+)
 from gauge_envs.backends.simulation import Simulation
 from gauge_envs.errors import UnsupportedSceneError
 from gauge_envs.scene import (
@@ -40,7 +42,7 @@ UNSUPPORTED = {
 }
 
 
-class BackendPyBullet(BundledBackend):
+class BackendPyBullet(SingleWorldBackend):
     """PyBullet on the CPU, in double precision: rigid bodies, joints, and ropes and soft bodies without contacts.
 
     A hanging bar of foam is 3 % too soft, and a swinging rope gains 2.5 % of its energy.
@@ -75,6 +77,8 @@ class BackendPyBullet(BundledBackend):
             names = [body.name for body in scene.deformables if isinstance(body, kind)]
             if names:
                 yield f"{names[0]!r} {reason}"
+        yield from attachment_problems(scene)
+        yield from unsupported_joints(scene)
         yield from _unsupported_joints(scene)
         yield from _unsupported_soft_bodies(scene)
         for rope in scene.deformables:
@@ -85,13 +89,11 @@ class BackendPyBullet(BundledBackend):
         except UnsupportedSceneError as error:
             yield str(error)
 
-    def build(
-        self, scene: Scene, settings: Mapping[str, Any] | None = None
-    ) -> Simulation:
-        """Build a scene; settings are the fields of `SettingsPyBullet`."""
+    def simulation(self) -> Callable[..., Simulation]:
+        """Return the class of simulations; the first call imports the engine."""
         from gauge_envs.backends.pybullet.simulation import SimulationPyBullet
 
-        return SimulationPyBullet(scene, settings_for(scene, settings))
+        return SimulationPyBullet
 
 
 def _unsupported_joints(scene: Scene) -> Iterator[str]:
@@ -102,8 +104,6 @@ def _unsupported_joints(scene: Scene) -> Iterator[str]:
         if name in jointed:
             yield f"{name!r} has two joints: this backend builds one joint for each body"
         jointed.add(name)
-        if body.motion is not Motion.DYNAMIC:
-            yield f"{name!r} has a joint and is not dynamic"
         if isinstance(joint, Tether) and body.pose.position_m == joint.anchor_m:
             yield f"{name!r} starts at the anchor of its string, which then has no direction"
         if isinstance(joint, Tether) and not body.starts_at_rest:
@@ -115,28 +115,20 @@ def _unsupported_rope(scene: Scene, rope: Rope) -> Iterator[str]:
     name = rope.name
     if any(name in pair for _, pair in colliding_pairs(scene)):
         yield f"{name!r} touches other bodies or itself: chains of light segments in contact diverge in Bullet"
-    deformable = {body.name for body in scene.deformables}
-    for attachment in scene.attachments:
-        if attachment.deformable == name and attachment.to in deformable:
-            yield f"{name!r} is attached to {attachment.to!r}, which is not a rigid body"
-    try:
-        ends = attached_ends(rope, rigid_attachments(scene, name))
-    except UnsupportedSceneError as error:
-        yield str(error)
-        return
+    ends = rigid_attachments(scene, name)
     jointed = {joint.body for joint in scene.joints}
     jointed |= {
         attachment.to
         for attachment in scene.attachments
         if attachment.deformable != name
     }
-    for end in ends.values():
+    for end in ends:
         if end.motion is Motion.KINEMATIC:
             yield f"{name!r} is attached to {end.body!r}, which is driven: chains start at fixed or dynamic bodies"
         if end.motion is Motion.DYNAMIC and end.body in jointed:
             yield f"{end.body!r} is attached to {name!r} and has another joint or rope"
-    bodies = {end.body for end in ends.values()}
-    motions = {end.motion for end in ends.values()}
+    bodies = {end.body for end in ends}
+    motions = {end.motion for end in ends}
     if len(ends) == 2 and (len(bodies) == 1 or motions == {Motion.FIXED}):
         yield f"{name!r} is attached at both ends, so that its chain is a loop, which this backend does not build"
 
@@ -147,17 +139,12 @@ def _unsupported_soft_bodies(scene: Scene) -> Iterator[str]:
     if not soft:
         return
     deformable = {body.name for body in scene.deformables}
-    touching = (
-        (contact, pair)
-        for contact, pair in colliding_pairs(scene)
-        if soft.keys() & set(pair)
-    )
-    for contact, (first, second) in touching:
+    for contact, (first, second) in colliding_pairs(scene):
+        rebounds = contact.mode is ContactMode.IMPACT and contact.restitution > 0.0
         if deformable >= {first, second}:
             yield f"{first!r} and {second!r} are deformable and touch: this backend builds no such contacts"
-        elif contact.mode is ContactMode.IMPACT and contact.restitution > 0.0:
+        elif rebounds and soft.keys() & {first, second}:
             yield f"{first!r} rebounds from {second!r}: contacts of Bullet's soft bodies have no restitution"
-    yield from attachment_problems(scene, not_to_dynamic=SoftBody)
     for bond in scene.attachments:
         if soft.keys() >= {bond.deformable, bond.to}:
             yield f"{bond.deformable!r} is attached to {bond.to!r}: this backend builds no bonds of soft bodies"

@@ -24,13 +24,13 @@ from gauge_envs.backends.pybullet.world import (
 )
 from gauge_envs.backends.shared.attachments import (
     attached_ends,
+    places_on_line,
     points_on_axis,
     rigid_attachments,
 )
 from gauge_envs.backends.shared.cells import grid_points
 from gauge_envs.backends.shared.soft_rows import lame_constants
 from gauge_envs.backends.simulation import MaterialPoints
-from gauge_envs.errors import ShapeError
 from gauge_envs.scene import Cylinder, Motion, Region, Rope, SoftBody
 from gauge_envs.scene.geometry import FloatArray, length_of
 from gauge_envs.scene.meshes import mass_properties, nodes_in, tetrahedra
@@ -75,18 +75,10 @@ class RopePart:
 
     def track(self, points_m: FloatArray, read: Read, scale: float) -> MaterialPoints:
         """Return a reader of material points, each of which moves with its segment."""
-        span = self.rest_m[-1] - self.rest_m[0]
-        length_m = length_of(span)
-        along_m = (points_m - self.rest_m[0]) @ span / length_m
-        if not np.all((along_m > -1e-5) & (along_m < length_m + 1e-5)):
-            raise ShapeError(
-                f"a point lies beyond an end of {self.name!r}: track points within its length"
-            )
-        count = len(self.links)
-        rows = np.clip((along_m / length_m * count).astype(int), 0, count - 1)
+        rows, _, _ = places_on_line(self.name, self.rest_m, points_m)
         centres_m = 0.5 * (self.rest_m[rows] + self.rest_m[rows + 1])
         # All segments have the same rotation at the start, along which z points.
-        rotation = _along(np.sign(self.half) * span)
+        rotation = _along(np.sign(self.half) * (self.rest_m[-1] - self.rest_m[0]))
         offsets_m = rotation.apply(points_m - centres_m, inverse=True)
 
         def points() -> FloatArray:
@@ -162,19 +154,14 @@ def add_rope(world: World, rope: Rope, cell_m: float | None) -> RopePart:
         base_moments = []
     segments = range(first, first + count)
     links = []
+    ball = pybullet.JOINT_SPHERICAL
     for _ in range(segments.stop):
-        links.append(
-            Link(
-                joint=pybullet.JOINT_SPHERICAL,
-                place=place,
-                mass_kg=mass_kg,
-                moments=moments,
-                centre=centre,
-            )
+        link = Link(
+            joint=ball, place=place, mass_kg=mass_kg, moments=moments, centre=centre
         )
+        links.append(link)
         place = length, NO_ROTATION
     if tip is not None:
-        ball = pybullet.JOINT_SPHERICAL
         links.append(world.link(tip, ball, end_m, place[0], rotation))
     body = world.add_multibody(base, base_moments, links)
 
@@ -184,7 +171,7 @@ def add_rope(world: World, rope: Rope, cell_m: float | None) -> RopePart:
         world.add_handle(tip.name, body, len(links) - 1)
     half = float(centre[2])
     if is_reversed:
-        return RopePart(rope.name, body, tuple(reversed(segments)), -half, nodes_m)
+        segments, half = segments[::-1], -half
     return RopePart(rope.name, body, tuple(segments), half, nodes_m)
 
 
@@ -222,7 +209,7 @@ def add_soft_body(
         number = world.client.loadSoftBody(
             str(file),
             simFileName=str(file),
-            basePosition=(world.scale * np.asarray(body.pose.position_m)).tolist(),
+            basePosition=np.multiply(world.scale, body.pose.position_m).tolist(),
             baseOrientation=body.pose.rotation.as_quat().tolist(),
             mass=body.mass_kg,
             useNeoHookean=1,

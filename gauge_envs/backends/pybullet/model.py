@@ -187,8 +187,7 @@ class ModelPyBullet(World):
 
     def _add_tethered(self, body: RigidBody, tether: Tether) -> None:
         """Add a body on a string: a spherical joint, a sliding joint with an upper limit, and a spherical joint."""
-        anchor_m = np.asarray(tether.anchor_m)
-        origin_m = np.asarray(body.pose.position_m)
+        anchor_m, origin_m = np.array([tether.anchor_m, body.pose.position_m])
         arm_m = origin_m - anchor_m
         apart = self.scale * length_of(arm_m)
         longest = self.scale * tether.length_m

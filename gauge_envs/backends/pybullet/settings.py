@@ -12,6 +12,7 @@ from typing import Any, Literal
 
 from pydantic import Field, ValidationInfo, field_validator
 
+from gauge_envs.backends.pybullet.contacts import colliding_pairs
 from gauge_envs.backends.settings import (
     STACK_BODY_COUNT,
     SteppedSettings,
@@ -138,13 +139,8 @@ def settings_for(
             update={"timestep_s": settings.timestep_s / 2**halvings}
         )
     if settings.cell_m is not None:
-        soft = scene.has(SoftBody)
-        check_cells(
-            "pybullet",
-            scene,
-            settings.cell_m,
-            node_limit=NODE_LIMIT if soft else SEGMENT_LIMIT + 1,
-        )
+        limit = NODE_LIMIT if scene.has(SoftBody) else SEGMENT_LIMIT + 1
+        check_cells("pybullet", scene, settings.cell_m, node_limit=limit)
     return settings
 
 
@@ -156,15 +152,9 @@ def _preset_for(scene: Scene) -> str:
     if scene.deformables:
         return "rope"
     jointed = {joint.body for joint in scene.joints}
-    impacts = (
-        contact for contact in scene.contacts if contact.mode is ContactMode.IMPACT
-    )
-    if any(
-        jointed & set(pair)
-        for contact in impacts
-        for pair in scene.colliding_pairs(contact)
-    ):
-        return "joint_impact"
+    for contact, pair in colliding_pairs(scene):
+        if contact.mode is ContactMode.IMPACT and jointed & set(pair):
+            return "joint_impact"
     return "contact"
 
 

@@ -11,14 +11,12 @@ from gauge_envs.backends.pybullet.world import BASE, PLANE_HALF_EDGE_M, pybullet
 from gauge_envs.backends.shared.rigid import (
     CONJUGATE,
     MeanForces,
-    PlacedSimulation,
+    SingleWorldSimulation,
     motion_steps,
-    placed_states,
 )
 from gauge_envs.backends.simulation import ContactForces, MaterialPoints
 from gauge_envs.scene import Motion, Plane, Scene
 from gauge_envs.scene.geometry import (
-    BoolArray,
     FloatArray,
     quaternion_products,
     rotation_matrices,
@@ -30,18 +28,12 @@ Target = tuple[list[float], list[float], list[float], list[float]]
 """State of a driven body that Bullet gets before a step; see `SimulationPyBullet._targets`."""
 
 
-class SimulationPyBullet(PlacedSimulation):
-    """A scene in PyBullet. A reset rebuilds it, since Bullet cannot forget its contacts.
-
-    Attributes:
-        settings: Effective numerical settings.
-    """
+class SimulationPyBullet(SingleWorldSimulation):
+    """A scene in PyBullet. A reset rebuilds it, since Bullet cannot forget its contacts."""
 
     def __init__(self, scene: Scene, settings: SettingsPyBullet) -> None:
-        self.settings = settings.model_dump(mode="json")
-        self._scene = scene
+        super().__init__(scene, settings)
         self._scale = settings.units_per_m
-        self._timestep_s = settings.timestep_s
         self._planes = []
         if settings.planes == "box":
             planes = [body for body in scene.bodies if isinstance(body.shape, Plane)]
@@ -53,40 +45,26 @@ class SimulationPyBullet(PlacedSimulation):
         self._model = ModelPyBullet(scene, settings)
         self.reset()
 
-    def reset(
-        self,
-        starts: FloatArray | None = None,
-        seed: int = 0,
-        worlds: BoolArray | None = None,
-    ) -> None:
-        """Build the scene at its start. Bullet draws no random numbers, so the seed has no effect."""
-        bodies = self._scene.bodies
-        if starts is not None:
-            bodies = bodies_at(self._scene, starts[0])
+    def start(self, states: FloatArray | None) -> None:
+        """Build the scene at its start."""
+        bodies = self.scene.bodies
+        if states is not None:
+            bodies = bodies_at(self.scene, states)
         self._model.build(bodies)
         self._client = self._model.client
         # The client looks functions up by name, which costs as much as they do.
         self._pose_of = self._client.getBasePositionAndOrientation
         self._velocity_of = self._client.getBaseVelocity
-        self._driven: dict[str, FloatArray] = {}
-        self._wrenches: dict[str, FloatArray] = {}
-        self.placed = placed_states(self._scene)
-        for reader in self._force_readers:
-            reader.clear()
 
     def drive(self, body: str, targets: FloatArray) -> None:
         """Prescribe a kinematic body; each step moves it to its pose at the end of the step."""
-        self._driven[body] = targets[0].copy()
+        super().drive(body, targets)
         # Valid until the next step, which moves the body; after it, the state comes from Bullet.
         self.placed[body] = targets[0, :13].copy()
 
-    def apply_wrench(self, body: str, wrenches: FloatArray) -> None:
-        """Apply a force and a torque to a dynamic body; see `Simulation.apply_wrench`."""
-        self._wrenches[body] = wrenches[0].copy()
-
     def advance(self, seconds: float) -> None:
         """Step the world. A driven body that was not driven since the last call stays where it is."""
-        count = round(seconds / self._timestep_s)
+        count = round(seconds / self.step_s)
         targets = [
             (body, self._targets(name, count))
             for name in self._kinematic
@@ -94,7 +72,7 @@ class SimulationPyBullet(PlacedSimulation):
         ]
         for reader in self._force_readers:
             reader.clear()
-        pushes = [self._push(name, wrench) for name, wrench in self._wrenches.items()]
+        pushes = [self._push(name, wrench) for name, wrench in self.wrenches.items()]
         take_step = self._client.stepSimulation
         place = self._client.resetBasePositionAndOrientation
         move = self._client.resetBaseVelocity
@@ -108,9 +86,9 @@ class SimulationPyBullet(PlacedSimulation):
             take_step()
             for reader in self._force_readers:
                 reader.add()
-        for name in self._driven:
+        for name in self.motions:
             self.placed.pop(name, None)
-        self._driven.clear()
+        self.motions.clear()
 
     def _targets(self, name: str, count: int) -> list[Target]:
         """Return the states of a driven body that Bullet gets before each of the next steps.
@@ -121,19 +99,18 @@ class SimulationPyBullet(PlacedSimulation):
             Position [units], quaternion x y z w, and the mean velocity [units/s] and angular velocity [rad/s] of each
             step.
         """
-        step_s = self._timestep_s
         frame = self._model.frames[name]
-        motion = self._driven.get(name)
+        motion = self.motions.get(name)
         if motion is None:
             pose = self.body_states([name])[0, 0, :7]
             motion = np.concatenate([pose, np.zeros(12)])
-        poses, velocities = motion_steps(motion, step_s, count)
+        poses, velocities = motion_steps(motion, self.step_s, count)
         quaternions = poses[:, 3:]
         arms_m = rotation_matrices(quaternions) @ frame.centre_m
         spins = velocities[:, 3:]
         speeds = velocities[:, :3] + np.cross(spins, arms_m)
         # Bullet adds gravity to the velocity of every body that can move.
-        speeds[:, 2] += self._scene.gravity_m_per_s2 * step_s
+        speeds[:, 2] += self.scene.gravity_m_per_s2 * self.step_s
         frames = quaternion_products(quaternions, CONJUGATE * frame.quaternion)
         columns = (
             self._scale * (poses[:, :3] + arms_m),
@@ -221,7 +198,7 @@ class SimulationPyBullet(PlacedSimulation):
 
     def diverged(self) -> Mapping[int, str]:
         """Return the body that is beyond the box of a plane, where nothing supports it."""
-        names = [body.name for body in self._scene.dynamic_bodies]
+        names = [body.name for body in self.scene.dynamic_bodies]
         if names and self._planes:
             positions_m = self.body_states(names)[0, :, :3]
             for plane in self._planes:

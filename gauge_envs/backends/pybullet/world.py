@@ -195,10 +195,7 @@ class World:
         assert isinstance(shape, ConvexUnion), "compounds are unsupported"
         mesh = {"shapeType": pybullet.GEOM_MESH, "flags": flags}
         if len(shape.pieces_m) == 1:
-            return {
-                "vertices": (scale * np.asarray(shape.pieces_m[0])).tolist(),
-                **mesh,
-            }
+            return {"vertices": np.multiply(scale, shape.pieces_m[0]).tolist(), **mesh}
         text = _object_text(shape, scale)
         path = self.folder / f"{len(list(self.folder.iterdir()))}.obj"
         path.write_text(text)
@@ -348,7 +345,7 @@ def _object_text(shape: ConvexUnion, scale: float) -> str:
     lines: list[str] = []
     first = 1
     for index, piece_m in enumerate(shape.pieces_m):
-        points = scale * np.asarray(piece_m)
+        points = np.multiply(scale, piece_m)
         lines.append(f"o piece{index}")
         lines += [f"v {x!r} {y!r} {z!r}" for x, y, z in points.tolist()]
         for face in hull_faces(points):

@@ -1,9 +1,8 @@
 """Rapier: rigid bodies in single precision, with a native restitution and snapshots. The first build imports it."""
 
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from types import MappingProxyType
-from typing import Any
 
 from gauge_envs.backends.features import Feature
 from gauge_envs.backends.rapier.contacts import (
@@ -12,7 +11,7 @@ from gauge_envs.backends.rapier.contacts import (
 )
 from gauge_envs.backends.rapier.settings import settings_for
 from gauge_envs.backends.shared.bundled import (
-    BundledBackend,
+    SingleWorldBackend,
     first_of,
     unsupported_compounds,
 )
@@ -31,7 +30,7 @@ KINDS: Mapping[type[Deformable], str] = {
 """Kinds of deformable bodies in words."""
 
 
-class BackendRapier(BundledBackend):
+class BackendRapier(SingleWorldBackend):
     """Rapier on the CPU, in single precision: rigid bodies, hinges and strings.
 
     Trajectories are the same bit for bit in every run on one machine.
@@ -79,10 +78,8 @@ class BackendRapier(BundledBackend):
                 f"{LARGEST_CONTACT_COUNT}"
             )
 
-    def build(
-        self, scene: Scene, settings: Mapping[str, Any] | None = None
-    ) -> Simulation:
-        """Build a scene; settings are the fields of `SettingsRapier`."""
+    def simulation(self) -> Callable[..., Simulation]:
+        """Return the class of simulations; the first call imports the engine."""
         from gauge_envs.backends.rapier.simulation import SimulationRapier
 
-        return SimulationRapier(scene, settings_for(scene, settings))
+        return SimulationRapier

@@ -9,14 +9,13 @@ import rapier3d as rapier
 from gauge_envs.backends.rapier.model import MASS_UNIT_KG, build_world
 from gauge_envs.backends.rapier.settings import SettingsRapier
 from gauge_envs.backends.shared.rigid import (
-    PlacedSimulation,
+    SingleWorldSimulation,
     hinge_angle,
     later_targets,
     motion_steps,
-    placed_states,
 )
 from gauge_envs.scene import RigidBody, Scene
-from gauge_envs.scene.geometry import BoolArray, FloatArray
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.states import nominal_states
 
 CALLING_THREAD_BODIES = 16
@@ -29,15 +28,12 @@ PROCESS = os.getpid()
 """The process that imported this module. A fork of it would wait forever for threads of the shared pool."""
 
 
-class SimulationRapier(PlacedSimulation):
+class SimulationRapier(SingleWorldSimulation):
     """A scene in Rapier."""
 
     def __init__(self, scene: Scene, settings: SettingsRapier) -> None:
-        self.settings = settings.model_dump(mode="json")
-        self.placed = placed_states(scene)
-        self._timestep_s = settings.timestep_s
+        super().__init__(scene, settings)
         self._threads = settings.threads
-        self._scene = scene
         world, self._layout = build_world(scene, settings)
         self._use_world(world)
         self._write(nominal_states(scene))
@@ -47,31 +43,25 @@ class SimulationRapier(PlacedSimulation):
     def _use_world(self, world: rapier.PhysicsWorld) -> None:
         """Replace the world that this simulation reads and drives."""
         self._world = world
-        self._motions: dict[str, FloatArray] = {}
         bodies = world.rigid_bodies
         self._bodies = {
             name: bodies[placed.handle] for name, placed in self._layout.items()
         }
 
-    def reset(
-        self,
-        starts: FloatArray | None = None,
-        seed: int = 0,
-        worlds: BoolArray | None = None,
-    ) -> None:
-        """Restore the world of the nominal start, and write given initial states to it. The seed has no effect."""
+    def start(self, states: FloatArray | None) -> None:
+        """Restore the world of the nominal start, and write given initial states to it."""
         world = rapier.PhysicsWorld.restore(self._snapshot)
         is_large = len(self._layout) > CALLING_THREAD_BODIES
         is_forked = os.getpid() != PROCESS
         if self._threads > 1 or is_large or is_forked:
             world.set_num_threads(self._threads)
         self._use_world(world)
-        if starts is not None:
-            self._write(starts[0])
+        if states is not None:
+            self._write(states)
 
     def _write(self, states: FloatArray) -> None:
         """Write states, shape [body_count, 13], to a world before its first step."""
-        for body, state in zip(self._scene.bodies, states, strict=False):
+        for body, state in zip(self.scene.bodies, states, strict=False):
             name = body.name
             if name not in self._layout:
                 continue
@@ -79,7 +69,7 @@ class SimulationRapier(PlacedSimulation):
             velocity = state[7:].copy()
             velocity[:3] += self._centre_speed(name, velocity[3:])
             self._set_velocity(name, velocity)
-            if name in self._scene.hinges:
+            if name in self.scene.hinges:
                 self._turn_hinge(body, state)
 
     def _turn_hinge(self, body: RigidBody, state: FloatArray) -> None:
@@ -89,7 +79,7 @@ class SimulationRapier(PlacedSimulation):
         if link is None:
             return
         chain = joints.get_multibody(link.multibody)
-        hinge = self._scene.hinges[body.name]
+        hinge = self.scene.hinges[body.name]
         angle_rad = hinge_angle(hinge, body.pose, state)
         # The coordinates of the anchor come first.
         still = [0.0] * (chain.ndofs - 1)
@@ -122,24 +112,24 @@ class SimulationRapier(PlacedSimulation):
 
     def drive(self, body: str, targets: FloatArray) -> None:
         """Prescribe a kinematic body, which each step moves by the mean velocity of the step."""
-        self._motions[body] = targets[0].copy()
+        super().drive(body, targets)
         self._place(body, targets[0])
         self._set_velocity(body, targets[0, 7:13])
 
     def advance(self, seconds: float) -> None:
         """Step the world. Afterwards, driven bodies have the velocity at the end of the interval."""
-        count = round(seconds / self._timestep_s)
+        count = round(seconds / self.step_s)
         velocities = {
-            name: motion_steps(motion, self._timestep_s, count)[1]
-            for name, motion in self._motions.items()
+            name: motion_steps(motion, self.step_s, count)[1]
+            for name, motion in self.motions.items()
         }
         for step in range(count):
             for name, of_steps in velocities.items():
                 self._set_velocity(name, of_steps[step])
             self._world.step()
-        for name, motion in self._motions.items():
+        for name, motion in self.motions.items():
             self._set_velocity(name, later_targets(motion[None], seconds)[0, 7:13])
-        self._motions = {}
+        self.motions = {}
 
     def apply_wrench(self, body: str, wrenches: FloatArray) -> None:
         """Apply a force through the centre of mass [N] and a torque [N m] to a dynamic body."""

@@ -2,13 +2,13 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from types import UnionType
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from gauge_envs.errors import UnsupportedSceneError
+from gauge_envs.errors import ShapeError, UnsupportedSceneError
 from gauge_envs.scene import (
+    Cloth,
     Motion,
     Pose,
     Region,
@@ -17,10 +17,13 @@ from gauge_envs.scene import (
     Scene,
     SoftBody,
 )
-from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene.geometry import FloatArray, IntArray, length_of
 
 LINE_AXIS = {Rope: "x", Rod: "z"}
 """Axis of its frame along which a line lies."""
+
+BEYOND_M = 1e-5
+"""Distance beyond an end of a line at which a point still belongs to it [m]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,27 +68,28 @@ def bonded_soft_bodies(scene: Scene) -> list[list[SoftBody]]:
     return list({id(group): group for group in groups.values()}.values())
 
 
-def attachment_problems(
-    scene: Scene, *, not_to_dynamic: type | UnionType
-) -> Iterator[str]:
-    """Yield one sentence for each attachment that a backend cannot build.
-
-    Args:
-        scene: The scene.
-        not_to_dynamic: Types of deformable bodies that must not be attached to a dynamic body.
-    """
+def attachment_problems(scene: Scene) -> Iterator[str]:
+    """Yield one sentence for each attachment that no backend builds."""
     rigid = {body.name: body for body in scene.bodies}
-    soft = {body.name: body for body in scene.deformables}
+    deformable = {body.name: body for body in scene.deformables}
     for attachment in scene.attachments:
-        deformable, to = soft.get(attachment.deformable), rigid.get(attachment.to)
-        if deformable is None or (to is None and attachment.to not in soft):
-            yield f"{attachment.deformable!r} is attached to {attachment.to!r}, and one of them is not in the scene"
-        elif (
-            to is not None
-            and to.motion is Motion.DYNAMIC
-            and isinstance(deformable, not_to_dynamic)
-        ):
-            yield f"{deformable.name!r} is attached to {to.name!r}, which moves under forces"
+        body = deformable.get(attachment.deformable)
+        to = rigid.get(attachment.to)
+        between = f"{attachment.deformable!r} is attached to {attachment.to!r}"
+        if to is None:
+            bonded = deformable.get(attachment.to)
+            if not (isinstance(body, SoftBody) and isinstance(bonded, SoftBody)):
+                yield f"{between}, which is not a rigid body"
+        elif to.motion is Motion.DYNAMIC and isinstance(body, Cloth | SoftBody):
+            yield f"{between}, which moves under forces"
+        elif isinstance(body, Cloth) and attachment.region.axis == "z":
+            yield f"{between} by its face, not by an edge"
+    for line in scene.deformables:
+        if isinstance(line, Rope | Rod):
+            try:
+                attached_ends(line, rigid_attachments(scene, line.name))
+            except UnsupportedSceneError as error:
+                yield str(error)
 
 
 def points_on_axis(line: Rope | Rod, places_m: NDArray[np.floating]) -> FloatArray:
@@ -98,6 +102,37 @@ def points_on_axis(line: Rope | Rod, places_m: NDArray[np.floating]) -> FloatArr
     points = np.zeros((len(places_m), 3))
     points[:, "xyz".index(LINE_AXIS[type(line)])] = places_m
     return line.pose.to_world(points)
+
+
+def places_on_line(
+    name: str, nodes_m: FloatArray, points_m: ArrayLike
+) -> tuple[IntArray, FloatArray, FloatArray]:
+    """Return where points of a rope or rod lie at the start.
+
+    Args:
+        name: Name of the line.
+        nodes_m: Nodes along its axis at the start [m], shape [node_count, 3].
+        points_m: The points [m], shape [point_count, 3].
+
+    Returns:
+        Segment of each point, shape [point_count]; its share between the two nodes, shape [point_count, 1]; and its
+        distance from the axis [m], shape [point_count, 3].
+
+    Raises:
+        ShapeError: A point lies beyond an end.
+    """
+    span_m = nodes_m[-1] - nodes_m[0]
+    axis = span_m / length_of(span_m)
+    arms_m = points_m - nodes_m[0]
+    along_m = arms_m @ axis
+    places_m = (nodes_m - nodes_m[0]) @ axis
+    if not np.all((along_m > -BEYOND_M) & (along_m < places_m[-1] + BEYOND_M)):
+        raise ShapeError(
+            f"a point lies beyond an end of {name!r}: track points within its length"
+        )
+    segments = np.searchsorted(places_m[1:-1], along_m, side="right")
+    shares = (along_m - places_m[segments]) / np.diff(places_m)[segments]
+    return segments, shares[:, None], arms_m - along_m[:, None] * axis
 
 
 def attached_ends(

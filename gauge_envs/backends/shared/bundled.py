@@ -12,7 +12,7 @@ from gauge_envs.backends.settings import SteppedSettings
 from gauge_envs.backends.simulation import Simulation
 from gauge_envs.errors import MissingExtraError, UnsupportedSceneError
 from gauge_envs.registry import is_installed
-from gauge_envs.scene import Compound, Scene
+from gauge_envs.scene import Compound, Motion, Scene
 
 
 class BundledBackend(Backend):
@@ -64,6 +64,21 @@ class BundledBackend(Backend):
         return self.settings_for(scene, settings).model_dump(mode="json")
 
 
+class SingleWorldBackend(BundledBackend):
+    """A backend whose simulations have one world each."""
+
+    @abstractmethod
+    def simulation(self) -> Callable[..., Simulation]:
+        """Return the class of simulations of a scene with settings; the first call imports the engine."""
+
+    def build(
+        self, scene: Scene, settings: Mapping[str, Any] | None = None
+    ) -> Simulation:
+        """Build a scene; settings are the fields of the engine's settings class."""
+        chosen = self.settings_for(scene, settings)
+        return self.simulation()(scene, chosen)
+
+
 @contextmanager
 def replaced(owner: Any, **attributes: Any) -> Iterator[None]:
     """Replace attributes of a module or class of an engine as long as the context lasts."""
@@ -87,6 +102,14 @@ def unsupported_compounds(scene: Scene) -> Iterator[str]:
     names = [body.name for body in scene.bodies if isinstance(body.shape, Compound)]
     if names:
         yield f"{names[0]!r} is a compound of solids, and this backend builds one solid or convex pieces for each body"
+
+
+def unsupported_joints(scene: Scene) -> Iterator[str]:
+    """Yield one sentence for each joint of a body that does not move under forces."""
+    for joint in scene.joints:
+        motion = scene.body(joint.body).motion
+        if motion is not Motion.DYNAMIC:
+            yield f"{joint.body!r} has a joint and is {motion}: only dynamic bodies have joints"
 
 
 def check_settings(

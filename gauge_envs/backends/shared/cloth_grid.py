@@ -48,16 +48,14 @@ class ClothGrid:
 
     def at(self, pose: Pose) -> FloatArray:
         """Return the world positions of the vertices of the flat cloth [m], shape [vertex_count, 3]."""
-        return pose.to_world(
-            np.column_stack([self.plane_m, np.zeros(len(self.plane_m))])
-        )
+        return pose.to_world(np.pad(self.plane_m, ((0, 0), (0, 1))))
 
     def within(self, region: Region) -> BoolArray:
         """Return whether each vertex lies in a region, shape [vertex_count]."""
         axis = "xy".index(region.axis)
         from_low = self.plane_m[:, axis] + 0.5 * self._size_m[axis]
         inward = from_low if region.side == "low" else self._size_m[axis] - from_low
-        return np.asarray(inward <= region.depth_m + 1e-6 * self._size_m[axis])
+        return inward <= region.depth_m + 1e-6 * self._size_m[axis]
 
     def vertex_areas_m2(self) -> FloatArray:
         """Return a quarter of the area of the cells around each vertex [m^2], shape [vertex_count].
@@ -78,14 +76,10 @@ class ClothGrid:
         carries the load of its area in `vertex_areas_m2`.
         """
         corners = self.plane_m[self.triangles]
-        before, after = (
-            np.roll(corners, 1, axis=1) - corners,
-            np.roll(corners, -1, axis=1) - corners,
-        )
-        is_right = (
-            np.abs((before * after).sum(axis=2))
-            < 1e-9 * self.cell_m[0] * self.cell_m[1]
-        )
+        before = np.roll(corners, 1, axis=1) - corners
+        after = np.roll(corners, -1, axis=1) - corners
+        cosines = np.abs((before * after).sum(axis=2))
+        is_right = cosines < 1e-9 * self.cell_m[0] * self.cell_m[1]
         return np.where(is_right, 0.5, 0.25)
 
     def is_diagonal(self, edges: IntArray) -> BoolArray:

@@ -99,7 +99,7 @@ class ResampledSimulation(Simulation):
         share = self._share
         if share == 1.0 or key not in self._before:
             return current
-        return np.asarray((1.0 - share) * self._before[key] + share * current)
+        return (1.0 - share) * self._before[key] + share * current
 
     def body_states(self, names: Sequence[str]) -> FloatArray:
         """Return the states at the current time, shape [N, len(names), 13]."""
@@ -113,7 +113,7 @@ class ResampledSimulation(Simulation):
         before[..., 3:7] *= np.where(products < 0.0, -1.0, 1.0)
         states = (1.0 - share) * before + share * current
         states[..., 3:7] /= np.linalg.norm(states[..., 3:7], axis=-1, keepdims=True)
-        return np.asarray(states)
+        return states
 
     def nodes(self, name: str) -> FloatArray:
         """Return the nodes at the current time [m], shape [N, node_count, 3]."""

@@ -5,21 +5,16 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Callable, Hashable, Iterable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from gauge_envs.backends.settings import SteppedSettings
 from gauge_envs.backends.simulation import Simulation
-from gauge_envs.scene import (
-    Hinge,
-    Motion,
-    Pose,
-    RigidBody,
-    Scene,
-    Tether,
-)
+from gauge_envs.scene import Hinge, Motion, Pose, RigidBody, Scene, Tether
 from gauge_envs.scene.geometry import (
+    BoolArray,
     FloatArray,
     length_of,
     quaternion_products,
@@ -98,13 +93,13 @@ class PlacedSimulation(Simulation):
     placed: dict[str, FloatArray]
 
     @abstractmethod
-    def moving_states(self, names: Sequence[str]) -> Any:
+    def moving_states(self, names: Sequence[str]) -> FloatArray:
         """Return the states of bodies that the engine moves, shape [world_count, len(names), 13]."""
 
     def body_states(self, names: Sequence[str]) -> FloatArray:
         """Return the states of bodies, shape [world_count, len(names), 13]; see `Simulation.body_states`."""
         if names and self.placed.keys().isdisjoint(names):
-            return np.asarray(self.moving_states(names))
+            return self.moving_states(names)
         states = np.empty((self.world_count, len(names), 13))
         moving = []
         for row, name in enumerate(names):
@@ -115,6 +110,46 @@ class PlacedSimulation(Simulation):
         if moving:
             states[:, moving] = self.moving_states([names[row] for row in moving])
         return states
+
+
+class SingleWorldSimulation(PlacedSimulation):
+    """One world of a scene in an engine without batches and without random numbers.
+
+    Attributes:
+        scene: The scene.
+        step_s: Time step [s].
+        motions: Prescribed motions of driven bodies by name, shape [19].
+        wrenches: Forces [N] and torques [N m] on dynamic bodies by name, shape [6].
+    """
+
+    def __init__(self, scene: Scene, settings: SteppedSettings) -> None:
+        self.settings = settings.model_dump(mode="json")
+        self.scene = scene
+        self.step_s = settings.timestep_s
+
+    def reset(
+        self,
+        starts: FloatArray | None = None,
+        seed: int = 0,
+        worlds: BoolArray | None = None,
+    ) -> None:
+        """Start the world; the seed has no effect."""
+        self.placed = placed_states(self.scene)
+        self.motions: dict[str, FloatArray] = {}
+        self.wrenches: dict[str, FloatArray] = {}
+        self.start(None if starts is None else starts[0])
+
+    @abstractmethod
+    def start(self, states: FloatArray | None) -> None:
+        """Start at initial states, shape [body_count, 13], or at the nominal start."""
+
+    def drive(self, body: str, targets: FloatArray) -> None:
+        """Prescribe a kinematic body; see `Simulation.drive`."""
+        self.motions[body] = targets[0].copy()
+
+    def apply_wrench(self, body: str, wrenches: FloatArray) -> None:
+        """Apply a force and a torque to a dynamic body; see `Simulation.apply_wrench`."""
+        self.wrenches[body] = wrenches[0].copy()
 
 
 def principal_axes(inertia_kg_m2: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -161,9 +196,9 @@ def hinge_angle(hinge: Hinge, nominal: Pose, state: FloatArray) -> float:
         nominal: Pose of the body at the nominal start.
         state: State of the body, shape [13].
     """
-    inverse = CONJUGATE * np.asarray(nominal.quaternion)
+    inverse = CONJUGATE * nominal.quaternion
     rotation = quaternion_products(state[3:7], inverse)
-    return float(quaternion_vectors(rotation[None])[0] @ np.asarray(hinge.axis))
+    return float(quaternion_vectors(rotation[None])[0] @ hinge.axis)
 
 
 @dataclass(frozen=True)
@@ -218,7 +253,7 @@ class TetherSpring:
         """
         from scipy.spatial.transform import Rotation
 
-        arm = np.asarray(self.tether.anchor_m) - state[:3]
+        arm = self.tether.anchor_m - state[:3]
         length = length_of(arm)
         if length <= self.tether.length_m:
             return None
@@ -231,8 +266,7 @@ class TetherSpring:
         if acceleration <= 0.0:
             return None
         rotation = Rotation.from_quat(state[3:7], scalar_first=True)
-        force: FloatArray = self.end_mass_kg(rotation, along) * acceleration * along
-        return force
+        return self.end_mass_kg(rotation, along) * acceleration * along
 
 
 def later_targets(targets: FloatArray, seconds: float | FloatArray) -> FloatArray:

@@ -22,7 +22,7 @@ from gauge_envs.backends.shared.attachments import (
 )
 from gauge_envs.backends.shared.cells import grid_points
 from gauge_envs.errors import ShapeError, UnsupportedSceneError
-from gauge_envs.scene import Motion, Scene, SoftBody
+from gauge_envs.scene import Scene, SoftBody
 from gauge_envs.scene.geometry import BoolArray, FloatArray, IntArray
 
 TOLERANCE_M = 1e-5
@@ -103,12 +103,12 @@ class SoftRow:
             for box in boxes
             for attachment in rigid_attachments(scene, box.body.name)
         ]
-        if grips and len(boxes) == 1:
-            axis = _world_axis(*grips[0])[0]
-        elif len(boxes) == 1:
-            axis = int(np.argmax(boxes[0].high_m - boxes[0].low_m))
-        else:
+        if len(boxes) > 1:
             axis = int(np.argmax(np.ptp([box.centre_m for box in boxes], axis=0)))
+        elif grips:
+            axis, _ = _world_axis(*grips[0])
+        else:
+            axis = int(np.argmax(boxes[0].high_m - boxes[0].low_m))
         boxes.sort(key=lambda box: float(box.low_m[axis]))
         for first, second in pairwise(boxes):
             _check_joined(first, second, axis)
@@ -119,11 +119,6 @@ class SoftRow:
             if attached_axis != axis or box is not end or side in ends:
                 raise UnsupportedSceneError(
                     f"soft body {box.body.name!r} is attached elsewhere than at a free end: attach each end once"
-                )
-            if attachment.motion is Motion.DYNAMIC:
-                raise UnsupportedSceneError(
-                    f"soft body {box.body.name!r} is attached to {attachment.body!r}, which moves under forces: attach "
-                    "it to a fixed or kinematic body"
                 )
             ends[side] = attachment
             # The corners belong to this box alone, so they can be changed in place.
@@ -147,6 +142,23 @@ class SoftRow:
     def high_m(self) -> FloatArray:
         """Highest corner of the free material [m], shape [3]."""
         return self.blocks[-1].high_m
+
+    def face_m(self, side: str) -> float:
+        """Return the place of an end face along the row [m]."""
+        corner_m = self.low_m if side == "low" else self.high_m
+        return float(corner_m[self.axis])
+
+    def end(self, side: str) -> Block:
+        """Return the block at an end."""
+        return self.blocks[0 if side == "low" else -1]
+
+    def beyond_m(self, side: str, depth_m: float) -> tuple[FloatArray, FloatArray]:
+        """Return the lowest and the highest corner of the material behind an end face to a depth [m], shape [3]."""
+        low_m, high_m = self.low_m.copy(), self.high_m.copy()
+        face_m = self.face_m(side)
+        low_m[self.axis] = face_m - depth_m if side == "low" else face_m
+        high_m[self.axis] = face_m if side == "low" else face_m + depth_m
+        return low_m, high_m
 
     def gripped(
         self, points_m: FloatArray
@@ -192,7 +204,7 @@ def _box(body: SoftBody) -> Block:
             f"soft body {body.name!r} is not rotated by right angles: align its box with the world's axes"
         )
     half = 0.5 * np.abs(np.rint(rotation)) @ body.shape.size_m
-    centre = np.asarray(body.pose.position_m)
+    centre = body.pose.position_m
     return Block(body=body, low_m=centre - half, high_m=centre + half)
 
 
@@ -210,10 +222,8 @@ def _check_joined(first: Block, second: Block, axis: int) -> None:
     low, high = first.low_m.copy(), first.high_m.copy()
     high[axis] += second.high_m[axis] - second.low_m[axis]
     low[axis] = first.high_m[axis]
-    if (
-        max(np.abs(second.low_m - low).max(), np.abs(second.high_m - high).max())
-        > TOLERANCE_M
-    ):
+    missed_m = np.abs([second.low_m - low, second.high_m - high]).max()
+    if missed_m > TOLERANCE_M:
         names = f"{first.body.name!r} and {second.body.name!r}"
         raise UnsupportedSceneError(
             f"soft bodies {names} do not join face to face: make equal faces meet"
@@ -306,8 +316,8 @@ class TetrahedralMesh:
 
     def masses_kg(self, densities_kg_per_m3: Sequence[float]) -> FloatArray:
         """Return node masses [kg], shape [node_count]: a quarter of each tetrahedron's mass for each of its nodes."""
-        shares = 0.25 * self.volumes_m3 * np.asarray(densities_kg_per_m3)[self.blocks]
-        masses: FloatArray = np.zeros(len(self.points_m))
+        shares = 0.25 * self.volumes_m3 * np.take(densities_kg_per_m3, self.blocks)
+        masses = np.zeros(len(self.points_m))
         np.add.at(masses, self.tetrahedra, shares[:, None])
         return masses
 

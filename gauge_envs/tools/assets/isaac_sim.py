@@ -5,8 +5,6 @@ attributes are those of NVIDIA's published schemas. usd-core has none of them. A
 stays unset, and Isaac Sim's default applies, as in the paper.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import numpy as np

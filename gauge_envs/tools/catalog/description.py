@@ -104,20 +104,19 @@ def _parameter_sets(experiment: Experiment) -> dict[str, dict[str, Any]]:
 
 def _engines(experiment: Experiment) -> list[dict[str, Any]]:
     """Return the support of an experiment by each engine, and how far its step is from convergence."""
-    rows = []
-    for row in engine_rows(experiment):
-        convergence = convergence_rows(row["engine"], experiment.name)
-        rows.append(row | {"convergence": convergence})
-    return rows
+    return [
+        row | {"convergence": convergence_rows(row["engine"], experiment.name)}
+        for row in engine_rows(experiment)
+    ]
 
 
 def _limits(name: str) -> list[dict[str, str | None]]:
     """Return the known limits of a variant, each with its study."""
-    limits = []
-    for limit in all_limits():
-        if any(fnmatchcase(name, pattern) for pattern in limit["variants"]):
-            limits.append({"text": limit["text"], "study": limit.get("study")})
-    return limits
+    return [
+        {"text": limit["text"], "study": limit.get("study")}
+        for limit in all_limits()
+        if any(fnmatchcase(name, pattern) for pattern in limit["variants"])
+    ]
 
 
 def _with_kind(part: Hinge | Tether) -> dict[str, Any]:
@@ -266,14 +265,6 @@ def _body(body: RigidBody | Deformable, experiment: Experiment) -> dict[str, Any
     }
 
 
-def _imported_drivers(name: str) -> set[str]:
-    """Return the driven bodies whose motion is imported."""
-    trials = load_imported(name)
-    if trials is None:
-        return set()
-    return {record.body for record in trials.facts.drivers}
-
-
 def _drivers(experiment: Experiment) -> list[dict[str, Any]]:
     """Return the driven bodies with their motions and sources."""
     drivers = experiment.scene.drivers
@@ -281,21 +272,21 @@ def _drivers(experiment: Experiment) -> list[dict[str, Any]]:
     imported: set[str] = set()
     if experiment.asset is None:
         notes = [spec.note for spec in experiment.spec.drivers_of(experiment.variant)]
-        if experiment.drivers is DataSource.IMPORTED:
-            imported = _imported_drivers(experiment.name)
+        trials = load_imported(experiment.name)
+        if experiment.drivers is DataSource.IMPORTED and trials is not None:
+            imported = {record.body for record in trials.facts.drivers}
     rows = []
     for driver, note in zip(drivers, notes, strict=True):
         is_imported = driver.body in imported
         if is_imported:
             note = "mean motion in the imported trials"
-        motions = list(map(dataclasses.asdict, driver.motions))
         rows.append(
             {
                 "body": driver.body,
                 "provenance": driver.provenance,
                 "imported": is_imported,
                 "note": note,
-                "motions": motions,
+                "motions": list(map(dataclasses.asdict, driver.motions)),
             }
         )
     return rows

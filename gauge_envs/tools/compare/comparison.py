@@ -263,13 +263,8 @@ def compare(
     """
     given = sorted(results, key=lambda result: result.revision)
     newest = {result.id: result.revision for result in given}
-    kept = []
-    older = set()
-    for result in given:
-        if result.revision == newest[result.id]:
-            kept.append(result)
-        else:
-            older.add(result.id)
+    kept = [result for result in given if result.revision == newest[result.id]]
+    older = {result.id for result in given if result.revision < newest[result.id]}
     notes = [
         f"{short_id(name)}: results of an older revision are left out; compare them separately"
         for name in sorted(older)

@@ -78,7 +78,8 @@ def draw_overview(
     shown = set()
     for experiment in comparison.experiments:
         scored = [panel for panel in panels if _has_score(experiment, panel)]
-        if scored or _has_diverged(experiment):
+        diverged = [cell.count(Outcome.DIVERGED) for _, cell in experiment.present]
+        if scored or any(diverged):
             experiments.append(experiment)
             shown.update(scored)
     if not shown:
@@ -120,10 +121,6 @@ def _has_score(experiment: ExperimentComparison, panel: str) -> bool:
             if cell.spread(metric, normalized=True) is not None:
                 return True
     return bool(_published(experiment, panel))
-
-
-def _has_diverged(experiment: ExperimentComparison) -> bool:
-    return any(cell.count(Outcome.DIVERGED) for _, cell in experiment.present)
 
 
 def _draw_panel(

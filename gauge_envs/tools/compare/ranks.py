@@ -8,8 +8,6 @@ A configuration ranks behind another when the 95 % interval of their difference 
 possible one. The value of a rank is the middle of its interval. All experiments of a kind have the same weight.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

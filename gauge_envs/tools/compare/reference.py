@@ -1,7 +1,5 @@
 """References of the results of one experiment: real trials, a solution, another engine, or the initial state."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 

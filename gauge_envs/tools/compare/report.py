@@ -382,12 +382,10 @@ def _score_rows(
     experiment: ExperimentComparison, metrics: Sequence[str], *, is_full: bool
 ) -> list[dict[str, Any]]:
     """Return a row for each shown metric of an experiment; an experiment without a score has one row."""
-    names = experiment.shown_metrics(metrics or ALL_METRICS)
+    names: list[str | None] = [*experiment.shown_metrics(metrics or ALL_METRICS)]
     if not metrics:
         names = names[:1]
-    if not names:
-        return [_score_row(experiment, None, is_full=is_full)]
-    return [_score_row(experiment, name, is_full=is_full) for name in names]
+    return [_score_row(experiment, name, is_full=is_full) for name in names or [None]]
 
 
 def _score_row(

@@ -13,8 +13,6 @@ depends on it. A check that the time limit ended shows nothing. A rule has
 - `explains`: patterns of checks that also fail by this cause, or the name of a group of them; by default all checks.
 """
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,5 @@
 """Rules of each call of the contract: arrays, repeatability, start, time and settings."""
 
-from __future__ import annotations
-
 from contextlib import closing, suppress
 from dataclasses import replace
 from typing import Any

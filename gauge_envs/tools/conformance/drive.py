@@ -1,7 +1,5 @@
 """Driven bodies: velocity, path, slow motion, and what they carry and leave behind."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import replace

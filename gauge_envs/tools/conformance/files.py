@@ -1,7 +1,5 @@
 """The scenes of checks as MJCF and USD files, and verdicts on the motions that another program makes of them."""
 
-from __future__ import annotations
-
 import csv
 import json
 from collections.abc import Mapping, Sequence

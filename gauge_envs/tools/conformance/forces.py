@@ -1,7 +1,5 @@
 """Applied forces and torques, the inertia that they show, and contact forces."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

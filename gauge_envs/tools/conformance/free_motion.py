@@ -1,7 +1,5 @@
 """Bodies without contacts: uniform motion, free fall, free rotation, and their reported states."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 

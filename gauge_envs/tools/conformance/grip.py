@@ -1,7 +1,5 @@
 """Friction below and above its limit: bodies that are pushed, pressed and laden, and objects between two pads."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
@@ -14,7 +12,13 @@ from gauge_envs.fixtures.recording import Recording
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G, Scene
 from gauge_envs.scene.geometry import FloatArray, length_of
 from gauge_envs.scoring.estimators import acceleration_m_per_s2
-from gauge_envs.tools.conformance.lab import Lab, Measurement, largest, largest_mm
+from gauge_envs.tools.conformance.lab import (
+    Lab,
+    Measurement,
+    largest,
+    largest_mm,
+    ratio,
+)
 from gauge_envs.tools.conformance.model import Checks, Level, Tolerance
 
 check = Checks(Level.CONTACT)
@@ -153,12 +157,13 @@ def push_slides(lab: Lab) -> Measurement:
         rate = acceleration_m_per_s2(times_s, moved_m @ DIRECTION)
         mass_kg = CUBE_KG * (1 + push.weights)
         frictions[push] = push.share - mass_kg * rate / (MU * push.normal_n)
-    worst = max(frictions, key=lambda push: abs(frictions[push] - 1.0))
-    stuck = [str(push) for push in frictions if frictions[push] > push.share - 1e-3]
-    hint = f"the friction of the {worst} is {frictions[worst]:.4g} of that of the pair"
-    if stuck:
-        hint = f"the {stuck[0]} does not start"
-    return Measurement(measured=frictions[worst], expected=1.0, hint=hint)
+    measurement = ratio(
+        {str(push): frictions[push] for push in frictions}, "the friction"
+    )
+    stuck = [push for push in frictions if frictions[push] > push.share - 1e-3]
+    if not stuck:
+        return measurement
+    return replace(measurement, hint=f"the {stuck[0]} does not start")
 
 
 # --- between pads ----------------------------------------------------------------------------------------------------

@@ -1,7 +1,5 @@
 """Bodies on hinges and strings: periods, energy, arms and lengths."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """A check, its tolerance, and its result on an engine."""
 
-from __future__ import annotations
-
 import hashlib
 import inspect
 import json

@@ -1,7 +1,5 @@
 """Two runs of one scene that must be equal: their differences, and how far an engine may repeat itself."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 

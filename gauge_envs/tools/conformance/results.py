@@ -111,11 +111,9 @@ def engine_columns(
         engines = [engine for engine in backend_names() if fnmatchcase(engine, pattern)]
         if not engines:
             raise UnknownNameError("backend", pattern, backend_names())
-        known: dict[tuple[str, str], Mapping[str, Any]] = {}
-        for engine in engines:
-            known[engine, "default"] = {}
-            if colon:
-                known |= call_engine(engine, _configurations, engine, isolate=isolate)
+        known = {(engine, "default"): dict[str, Any]() for engine in engines}
+        for engine in engines if colon else ():
+            known |= call_engine(engine, _configurations, engine, isolate=isolate)
         chosen = [key for key in known if fnmatchcase(key[1], configuration or "*")]
         if not chosen:
             configurations = {key[1] for key in known}

@@ -1,7 +1,5 @@
 """Floors of several parts: bodies slide and roll over the seams of flush solids."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial

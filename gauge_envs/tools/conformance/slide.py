@@ -1,7 +1,5 @@
 """Friction of free bodies on fixed ones and on each other: they hold, slide, spin and roll."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 

@@ -176,14 +176,14 @@ class Probe:
         """
         friction = self.settings.sliding_friction
         slips_from = 3.5 * friction * (1.0 + getattr(self.settings, "restitution", 0.5))
-        speeds = np.array([*GRIPPING, SLIPPING_SHARE * slips_from]) * IMPACT_M_PER_S
-        along = np.array(
-            [math.cos(math.radians(TURN_DEG)), math.sin(math.radians(TURN_DEG))]
-        )
+        shares = [*GRIPPING, SLIPPING_SHARE * slips_from]
+        speeds = np.repeat(shares, IMPACT_PHASES) * IMPACT_M_PER_S
+        turn_rad = math.radians(TURN_DEG)
+        along = np.array([math.cos(turn_rad), math.sin(turn_rad)])
         down = math.sqrt(IMPACT_M_PER_S**2 - 2.0 * G * IMPACT_DROP_M)
         step_m = IMPACT_M_PER_S * self.settings.timestep_s
         balls = []
-        for index, speed in enumerate(np.repeat(speeds, IMPACT_PHASES)):
+        for index, speed in enumerate(speeds):
             phase = index % IMPACT_PHASES / IMPACT_PHASES
             height_m = RADIUS_M + IMPACT_DROP_M + phase * step_m
             place_m = (0.0, BALL_DISTANCE_M * index, height_m)
@@ -191,14 +191,14 @@ class Probe:
             balls.append(thrown(still, (*(speed * along), -down)))
         rollout = self._rollout(balls, LEVEL, IMPACT_S)
         ratios, rebounds = [], []
-        for one, speed in zip(balls, np.repeat(speeds, IMPACT_PHASES), strict=True):
+        for one, speed in zip(balls, speeds, strict=True):
             velocity = rollout.velocity(one.name)
             taken = (velocity[0, :2] - velocity[-1, :2]) @ along
             pressed = velocity[-1, 2] - velocity[0, 2] + G * rollout.times_s[-1]
             ratios.append(taken / min(friction * pressed, 2.0 / 7.0 * speed))
             rebounds.append(float(velocity[:, 2].max()) / IMPACT_M_PER_S)
-        rows = np.reshape(ratios, (len(speeds), IMPACT_PHASES))
-        return rows, float(np.mean(rebounds[-IMPACT_PHASES:]))
+        rebound = float(np.mean(rebounds[-IMPACT_PHASES:]))
+        return np.reshape(ratios, (-1, IMPACT_PHASES)), rebound
 
     def hop(self) -> dict[str, float]:
         """Return how high a plate rises that slides on a level ground [m]."""
@@ -245,17 +245,16 @@ class Probe:
             UnsupportedError: The engine cannot simulate the contact.
         """
         settings = self.settings
-        names = tuple(body.name for body in bodies)
-        # Engines without a coefficient of restitution rebound by contact constants.
-        restitution = getattr(settings, "restitution", None)
-        friction = settings.sliding_friction
-        pair = replace(
-            contact(names, "ground", friction=friction, restitution=restitution),
-            torsion_m=settings.torsion_m,
-            rolling_m=settings.rolling_m,
+        touch = contact(
+            tuple(body.name for body in bodies),
+            "ground",
+            friction=settings.sliding_friction,
+            # Engines without a coefficient of restitution rebound by contact constants.
+            restitution=getattr(settings, "restitution", None),
         )
-        pose = Pose.from_rotation((0.0, 0.0, 0.0), lean)
-        plane = replace(ground(), pose=pose)
+        turning = {name: getattr(settings, name) for name in TURNING}
+        pair = replace(touch, **turning)
+        plane = replace(ground(), pose=Pose.from_rotation((0.0, 0.0, 0.0), lean))
         scene = Scene(bodies=(*bodies, plane), contacts=(pair,), duration_s=seconds)
         step_s = settings.timestep_s
         interval_s = step_s * max(1, round(SAMPLE_S / step_s))

@@ -13,12 +13,6 @@ from gauge_envs.tools.recipes.aim import Aim
 from gauge_envs.tools.recipes.engines.base import ContactSettings, rounded
 from gauge_envs.tools.recipes.probes import NAMES, Probe, measured
 
-RESTITUTION_TOLERANCE = 0.01
-"""Largest accepted error of a restitution, as in the conformance checks of rebounds."""
-
-SLIP_TOLERANCE = 0.05
-"""Largest accepted error of a restitution where a ball slips."""
-
 SHARES = {
     "friction": 0.005,
     "impact_friction": 0.05,
@@ -28,12 +22,8 @@ SHARES = {
 }
 """Largest accepted relative errors; the error of the depth at rest applies to a requested stiffness."""
 
-TOLERANCES = {
-    "restitution": RESTITUTION_TOLERANCE,
-    "slip_restitution": SLIP_TOLERANCE,
-    "creep_m_s": 0.0,
-}
-"""Largest accepted errors of the other values."""
+TOLERANCES = {"restitution": 0.01, "slip_restitution": 0.05, "creep_m_s": 0.0}
+"""Largest accepted errors of the other values; the restitution as in the conformance checks of rebounds."""
 
 CREEP_MARGIN = 1.2
 """Safety factor on the ratio of impedances for a requested creep."""
@@ -263,7 +253,7 @@ def _rebounding(engine: type[ContactSettings], aim: Aim) -> Aim:
         probe = Probe(settings=engine.aimed(candidate), mass_kg=aim.mass_kg)
         error = probe.drop()["restitution"] - asked
         trials[abs(error)] = candidate
-        if not abs(error) >= RESTITUTION_TOLERANCE:
+        if not abs(error) >= TOLERANCES["restitution"]:
             break
         if error > 0.0:
             high = restitution

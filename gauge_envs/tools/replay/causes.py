@@ -1,7 +1,5 @@
 """The causes that can make a model and a log part: a row each, with values, bounds and change."""
 
-from __future__ import annotations
-
 import copy
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass

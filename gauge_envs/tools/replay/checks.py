@@ -1,7 +1,5 @@
 """Checks of a log before anything is fitted: each corrects what it can, and names what was wrong."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

@@ -1,7 +1,5 @@
 """`gauge replay`."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from functools import partial
 from pathlib import Path

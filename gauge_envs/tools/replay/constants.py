@@ -1,7 +1,5 @@
 """Constants of many joints, fitted together to several logs."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import asdict, replace
 from pathlib import Path

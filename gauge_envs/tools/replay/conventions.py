@@ -1,7 +1,5 @@
 """Conventions of a log that the model contradicts: units, signs, order of joints, axes of the base."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from itertools import combinations
 

@@ -1,7 +1,5 @@
 """Which of several models predicts logs best, whatever identified them."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

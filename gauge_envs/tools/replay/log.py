@@ -1,7 +1,5 @@
 """A log of a robot, and the map that says how its file differs from the model."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from itertools import permutations, product

@@ -1,7 +1,5 @@
 """The user's robot in MuJoCo: its controls from the commands of a log, and its predictions from recorded states."""
 
-from __future__ import annotations
-
 import copy
 from dataclasses import dataclass
 from pathlib import Path

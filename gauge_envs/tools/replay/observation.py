@@ -1,7 +1,5 @@
 """The policy's side: its observation, its action and its file against the state and the command of the log."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from itertools import product
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The lines that put a change into MJCF and the map."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import product

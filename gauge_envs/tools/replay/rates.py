@@ -1,7 +1,5 @@
 """Checks of the velocities of a log, of its joints and of its base, by their positions."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import compress, product

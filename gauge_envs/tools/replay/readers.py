@@ -1,7 +1,5 @@
 """Read logs: each format gives titles and values of columns, and the titles say what they are."""
 
-from __future__ import annotations
-
 import csv
 import json
 import re
@@ -262,7 +260,7 @@ def read_log(
     has = found | {kind: commands, "": True}
     for quantity in ("time", "position", kind, *mapped.columns):
         if not has.get(quantity):
-            words = " ".join(COLUMN_NAMES.get(quantity, COLUMN_NAMES))
+            words = " ".join(COLUMN_NAMES[quantity])
             reason = f"no such column ({words}); the file has {first_names([*titles])}: name it in [columns] of --map"
             raise FileError(file, quantity, reason)
     mapped.check_joints(found["position"] | commands)

@@ -1,7 +1,5 @@
 """A replay and its report: the answer, where model and log part, and what explains it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path

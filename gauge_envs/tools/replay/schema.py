@@ -1,7 +1,5 @@
 """What `gauge replay` prints with `--json`."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum

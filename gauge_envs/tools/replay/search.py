@@ -1,7 +1,5 @@
 """Search for the causes that explain a log: each alone, then pairs, judged on pieces that no fit has seen."""
 
-from __future__ import annotations
-
 from collections import defaultdict
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace

@@ -12,8 +12,6 @@ What follows from a wrong joint or body is part of that finding.
 ```
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace

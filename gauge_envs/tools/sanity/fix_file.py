@@ -1,7 +1,5 @@
 """Write the model of a target with the fix; the files are compiled and checked before they are replaced."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from secrets import token_hex

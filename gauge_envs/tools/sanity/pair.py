@@ -1,7 +1,5 @@
 """Pairs of geoms: which friction is in force and by which rule, what follows, and what other stacks make of it."""
 
-from __future__ import annotations
-
 import copy
 import math
 from collections.abc import Callable, Sequence

@@ -1,7 +1,5 @@
 """Print a sanity check on one screen, its details, and the table of all checks."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Sequence
 from io import StringIO

@@ -1,7 +1,5 @@
 """Run a sanity check: the target's own model, then measured objects with its settings, then the search for a fix."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """All checks in their order, causes before effects: what is read, then what runs show; their choice by patterns."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from fnmatch import fnmatchcase
 

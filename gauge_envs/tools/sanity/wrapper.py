@@ -1,7 +1,5 @@
 """Check an environment when it is made, and warn of failed checks."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Sequence
 

@@ -1,7 +1,5 @@
 """`gauge report`."""
 
-from __future__ import annotations
-
 import shlex
 import sys
 from importlib import import_module

@@ -91,12 +91,13 @@ def _closer_side(scores: ScoreComparison, sides: Iterable[tuple[Side, Result]]) 
 
     It is closer to the reference, beyond the uncertainty.
     """
-    first: list[RunConfiguration] = []
-    for kind in scores.kinds:
-        for ranks in kind.ranks.values():
-            for index, rank in ranks.items():
-                if len(ranks) > 1 and rank.interval_95[1] == 1.0:
-                    first.append(scores.configurations[index])
+    first = [
+        scores.configurations[index]
+        for kind in scores.kinds
+        for ranks in kind.ranks.values()
+        for index, rank in ranks.items()
+        if len(ranks) > 1 and rank.interval_95[1] == 1.0
+    ]
     for side, result in sides:
         if RunConfiguration.of(result) in first:
             return side.title

@@ -1,7 +1,5 @@
 """`gauge video prompts`, `score` and `report`, and `gauge list video-tasks`."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path

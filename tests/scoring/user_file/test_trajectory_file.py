@@ -190,13 +190,6 @@ def test_unusual_motion_is_noted_and_gives_no_estimate(tmp_path, motion, text):
     assert not unusual.score.estimates
 
 
-def test_a_slide_with_motion_across_has_no_friction():
-    values = SLIDE + np.outer(TIMES, [0.0, 600.0, 0.0])
-    band = reference_band(RESOLVED)
-    score = score_trajectory(RESOLVED, band, times_s=TIMES, values=values)
-    assert not score.estimates
-
-
 def lost(rows, value):
     places = SLIDE.copy()
     places[rows] = value

@@ -197,27 +197,6 @@ def test_a_large_difference_ranks(real):
     assert answer([real[SLIDER]]).startswith("No ranks")
 
 
-def test_the_exact_motion_has_a_column_for_each_set_of_constants(real):
-    def exact(*results):
-        table = comparison_document(compare(results)).parts[1]
-        columns = [one for one in table.columns if one.title.startswith("exact")]
-        return {one.title: one.value(table.rows[0]) for one in columns}
-
-    published = real[SLIDER]
-    value = published.score.exact
-    assert exact(published, as_newton(published)) == {"exact": value}
-    rough = replace(
-        published,
-        parameters={"cube.friction": 0.3},
-        score=replace(published.score, exact=9.0),
-    )
-    assert exact(published, as_newton(published), rough) == {
-        "exact, published": value,
-        "exact, cube.friction=0.3": 9.0,
-    }
-    assert exact(real[TURNED]) == {}
-
-
 def test_a_score_that_differs_from_its_trajectory_is_not_ranked(real):
     score = replace(real[SLIDER].score, rmse_aligned_normalized=0.3)
     comparison = compare([replace(real[SLIDER], score=score), as_newton(real[SLIDER])])
@@ -292,48 +271,6 @@ def test_cloth_and_foam_are_compared_by_their_markers():
     assert far.share_text == "3.92 %"
 
 
-def test_a_picture_of_foam_in_mm_has_no_published_distance_of_faces():
-    results = []
-    for backend in ("mujoco", "newton"):
-        result = made(BAR, backend=backend)
-        markers_mm = np.zeros((31, 84))
-        trajectory = replace(result.trajectory, markers_mm=markers_mm)
-        score = replace(result.score, refused="no score: the scene differs")
-        results.append(replace(result, trajectory=trajectory, score=score))
-    axis = draw_experiment(results).axes[0]
-    assert axis.get_ylabel() == "distance [mm]"
-    assert len(axis.get_lines()) == 1
-
-
-def test_repeats_are_compared_seed_by_seed():
-    ours = [made(FOAM, seed=seed, start=100.0 * seed) for seed in (1, 2, 3)]
-    theirs = [
-        made(FOAM, backend="newton", seed=seed, start=101.0 * seed)
-        for seed in (1, 2, 3)
-    ]
-    far = distance(*ours, *theirs)
-    assert (far.rms.mean, far.rms.std, far.rms.count) == (2.0, 1.0, 3)
-    apart = distance(ours[0], ours[1], theirs[2])
-    assert (apart.rms.mean, apart.rms.count) == ((203.0 + 103.0) / 2, 2)
-
-
-def test_the_overview_shows_published_engines_only_with_raw_scores_of_trials(real):
-    primary, raw, solved = (
-        {
-            float(line.get_xdata()[0])
-            for line in axis.get_lines()
-            if len(line.get_xdata())
-        }
-        for axis in draw_overview(compare([real[SLIDER], real[TURNED]])).axes
-    )
-    score = real[SLIDER].score
-    assert score.rmse_aligned_normalized in primary
-    assert score.rmse_normalized in raw
-    assert real[TURNED].score.primary_normalized in solved - primary
-    published = set(published_baselines(SLIDER)["rmse"].engines.values())
-    assert published <= raw - primary
-
-
 # --- the command ---
 
 
@@ -391,3 +328,33 @@ def test_results_are_chosen_by_id_engine_and_correction(gauge, tmp_path):
         rejected = gauge("compare", *words)
         assert rejected.exit_code == 2
         assert name in rejected.stderr
+
+
+def test_a_picture_of_foam_in_mm_has_no_published_distance_of_faces():
+    results = []
+    for backend in ("mujoco", "newton"):
+        result = made(BAR, backend=backend)
+        markers_mm = np.zeros((31, 84))
+        trajectory = replace(result.trajectory, markers_mm=markers_mm)
+        score = replace(result.score, refused="no score: the scene differs")
+        results.append(replace(result, trajectory=trajectory, score=score))
+    axis = draw_experiment(results).axes[0]
+    assert axis.get_ylabel() == "distance [mm]"
+    assert len(axis.get_lines()) == 1
+
+
+def test_the_overview_shows_published_engines_only_with_raw_scores_of_trials(real):
+    primary, raw, solved = (
+        {
+            float(line.get_xdata()[0])
+            for line in axis.get_lines()
+            if len(line.get_xdata())
+        }
+        for axis in draw_overview(compare([real[SLIDER], real[TURNED]])).axes
+    )
+    score = real[SLIDER].score
+    assert score.rmse_aligned_normalized in primary
+    assert score.rmse_normalized in raw
+    assert real[TURNED].score.primary_normalized in solved - primary
+    published = set(published_baselines(SLIDER)["rmse"].engines.values())
+    assert published <= raw - primary

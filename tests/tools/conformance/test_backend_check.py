@@ -8,8 +8,9 @@ from xml.etree import ElementTree
 
 import pytest
 from faults import FAULTS, Faulty
+from test_conformance import KnowsNoCloth
 
-from gauge_envs.backends import Support, backend, registry
+from gauge_envs.backends import backend, registry
 from gauge_envs.errors import ParameterError, ResultFileError
 from gauge_envs.runs import workers
 from gauge_envs.tools.conformance import Status
@@ -26,11 +27,6 @@ from gauge_envs.tools.conformance.run import run_check
 FIND = "gauge_envs.tools.conformance.run.find_backend"
 RUN = "gauge_envs.tools.conformance.run.run_check"
 ONLY = ("--only", "slide", "--only", "free-fall", "--only", "cloth-stretch")
-
-
-class KnowsNoCloth(Faulty):
-    def supports(self, scene):
-        return Support(("it knows no cloth",) if scene.deformables else ())
 
 
 @pytest.fixture(scope="module")
@@ -254,17 +250,6 @@ def column():
     return column
 
 
-def test_a_column_has_a_configuration_and_its_results(column):
-    columns = engine_columns(["mujoco:*", "mujoco:PGS"], isolate=False)
-    assert [column.name for column in columns] == ["default", "PGS", "CG", "out_of_box"]
-    statuses = {name: result.status.value for name, result in column.results.items()}
-    assert statuses == {
-        "free-fall": "pass",
-        "slide": "pass",
-        "foam-tension": "unsupported",
-    }
-
-
 def test_a_column_comes_back_from_its_file_except_a_changed_check(column, tmp_path):
     file = write_columns([column], tmp_path / "deep" / "column.json")
     (stored,) = read_columns(file)
@@ -281,16 +266,6 @@ def test_a_column_comes_back_from_its_file_except_a_changed_check(column, tmp_pa
     file.write_text('{"columns": []}')
     with pytest.raises(ResultFileError, match="write it with gauge backend check"):
         read_columns(file)
-
-
-def test_several_engines_are_columns_of_one_table(column):
-    slide = replace(column.results["slide"], status=Status.FAIL, measured=0.8)
-    other = replace(column, name="CG", results={**column.results, "slide": slide})
-    table = comparison([column, other])
-    assert [entry.title for entry in table.columns][2:] == ["mujoco PGS", "mujoco CG"]
-    counts, failed = table.rows
-    assert counts == ["passed", "", "2 of 2", "1 of 2"]
-    assert failed == ["slide", "1 +- 0.01", "✓", "✗ 0.8"]
 
 
 # --- an earlier version ----------------------------------------------------------------------------------------------
@@ -320,11 +295,6 @@ def test_a_baseline_names_what_moved_or_got_worse(column, widths, status, kind):
 
 def baseline_of(result):
     return StoredBaseline(results={(result.configuration, result.check): result})
-
-
-def test_a_failure_that_is_still_not_finite_did_not_move(column):
-    earlier = replace(column.results["slide"], status=Status.FAIL, measured=math.nan)
-    assert baseline_of(earlier).difference(replace(earlier, measured=math.inf)) is None
 
 
 def test_a_baseline_without_the_configuration_is_rejected(column, tmp_path, gauge):
@@ -409,3 +379,13 @@ def test_an_engine_that_cannot_be_imported_is_an_error(installed, gauge):
     result = gauge("backend", "check", "at-import", *THREE)
     assert (result.exit_code, result.stdout) == (2, "")
     assert "SystemExit: 3" in result.stderr
+
+
+def test_several_engines_are_columns_of_one_table(column):
+    slide = replace(column.results["slide"], status=Status.FAIL, measured=0.8)
+    other = replace(column, name="CG", results={**column.results, "slide": slide})
+    table = comparison([column, other])
+    assert [entry.title for entry in table.columns][2:] == ["mujoco PGS", "mujoco CG"]
+    counts, failed = table.rows
+    assert counts == ["passed", "", "2 of 2", "1 of 2"]
+    assert failed == ["slide", "1 +- 0.01", "✓", "✗ 0.8"]

@@ -11,9 +11,9 @@ from gauge_envs.tools.control.fling import FlingLimit
 from gauge_envs.tools.control.task import Ending
 
 TRAINING = {"preset": "training"}
-SPEED_LEFT, ROD_Y, ROD_SPEED = (
+SPEED_LEFT, ROD_SPEED = (
     FlingLimit.OBSERVED.index(name)
-    for name in ("speed_left_m_per_s", "rod_y_m", "rod_velocity_y_m_per_s")
+    for name in ("speed_left_m_per_s", "rod_velocity_y_m_per_s")
 )
 
 

@@ -244,15 +244,6 @@ def at_rate(rate_hz):
     return change
 
 
-def every(*changes):
-    def change(path, rng):
-        for one in changes:
-            path = one(path, rng)
-        return path
-
-    return change
-
-
 LOST_DAMAGES = {
     "x never captured": lambda path, rng: path * [np.nan, 1, 1],
     "z never captured": lambda path, rng: path * [1, 1, np.nan],
@@ -296,34 +287,10 @@ RECORDING_DAMAGES = {
     "metres as mm": lambda path, rng: path / 1e3,
     "cm as mm": lambda path, rng: path / 10.0,
     "reversed": lambda path, rng: path[::-1],
+    "noise of 60 mm": lambda path, rng: path + rng.normal(0.0, 60.0, path.shape),
+    "half as large": lambda path, rng: path[0] + 0.5 * (path - path[0]),
 }
 """Damages of all paths of a recording."""
-
-UNSEEN_LOST_DAMAGES = {
-    "y never captured": lambda path, rng: path * [1, np.nan, 1],
-    "15 % not captured": put(np.nan, some(0.15, 3)),
-    "1e5 in a frame": put(1e4),
-    "-1 in frames": put(-1.0, some(0.1, 2)),
-    "first row in frames": lambda path, rng: put(path[0].copy(), some(0.2, 3))(
-        path, rng
-    ),
-    "3 m in frames": added(3000.0, 2),
-    "200 mm in frames": added(200.0, 3),
-    "stopped, then on": every(held(some(0.3, 4)), added(150.0)),
-}
-"""Damages of a path that were written after the gate."""
-
-UNSEEN_RECORDING_DAMAGES = {
-    "noise of 60 mm": lambda path, rng: path + rng.normal(0.0, 60.0, path.shape),
-    "90 Hz": at_rate(90.0),
-    "10 Hz": at_rate(10.0),
-    "rotated axes": axes((1, 2, 0), about_start=True),
-    "x and y mirrored": axes((0, 1, 2), (-1, -1, 1), about_start=False),
-    "half as large": lambda path, rng: path[0] + 0.5 * (path - path[0]),
-    "inch as mm": lambda path, rng: path / 25.4,
-    "a frame twice, twice as often": lambda path, rng: path[np.arange(len(path)) // 2],
-}
-"""Damages of a recording that were written after the gate."""
 
 
 def damaged(content, experiment, asset, marker, change, rng):

@@ -1,12 +1,7 @@
 """Damaged trial files are left out, and named with the place and the expected content."""
 
 import json
-import multiprocessing
-import os
-import random
 import re
-import sys
-import time
 
 import numpy as np
 import pytest
@@ -19,54 +14,10 @@ from dataset_writer import (
 )
 from imports import band_of, import_contents, imported
 
-from gauge_envs.references.imported import load_imported
 from gauge_envs.references.user_data import imported_file
 from gauge_envs.tools.dataset.trial import parse_trial
 
 SLIDER, FOAM, PLATE = "SlopeSlider-1-wood", "FoamBending-soft", "Turntable-2-wood"
-
-
-def write_import(root, folder):
-    """Import a dataset in a process that can be killed."""
-    os.environ["GAUGE_DATA_DIR"] = str(folder)
-    for _ in imported(root):
-        pass
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(sys.platform == "win32", reason="needs a fork")
-def test_kills_of_imports_leave_the_earlier_or_the_new_trials(tmp_path, monkeypatch):
-    """Each killed import is of the other of two datasets; a store is of one of them, whole."""
-    process = multiprocessing.get_context("fork").Process
-    monkeypatch.setenv("GAUGE_DATA_DIR", str(tmp_path / "store"))
-    names = (SLIDER, FOAM, PLATE)
-    roots = tmp_path / "first", tmp_path / "second"
-    expected: dict[str, list[str]] = {name: [] for name in names}
-    for root, factor in zip(roots, (1.0, 1.5), strict=True):
-        for name in names:
-            write_synthetic(root, name, [factor * amount for amount in AMOUNTS])
-        start_s = time.monotonic()
-        write_import(root, tmp_path / "store")
-        duration_s = time.monotonic() - start_s
-        for name in names:
-            expected[name].append(load_imported(name).facts.files_sha256)
-    moments = random.Random(0)
-    seen = set()
-    kills = 0
-    while kills < 100:
-        run = process(target=write_import, args=(roots[kills % 2], tmp_path / "store"))
-        run.start()
-        run.join(moments.uniform(0.0, duration_s))
-        run.kill()
-        run.join()
-        kills += run.exitcode != 0
-        state = []
-        for name in names:
-            trials = load_imported(name)
-            state.append(expected[name].index(trials.facts.files_sha256))
-        seen.add(tuple(state))
-    # Some kills fall between the variants.
-    assert len(seen) > 2
 
 
 def encoded(content):

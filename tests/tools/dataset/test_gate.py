@@ -7,7 +7,6 @@ by more than 5 %.
 from __future__ import annotations
 
 import copy
-import math
 
 import numpy as np
 import pytest
@@ -15,8 +14,6 @@ from damages import (
     FILE_DAMAGES,
     LOST_DAMAGES,
     RECORDING_DAMAGES,
-    UNSEEN_LOST_DAMAGES,
-    UNSEEN_RECORDING_DAMAGES,
     as_text,
     clean_contents,
     damaged,
@@ -27,8 +24,7 @@ from imports import band_of, imported
 from gauge_envs import load_experiment
 from gauge_envs.references.band import load_band
 from gauge_envs.references.imported import load_imported
-from gauge_envs.scoring.trajectory import score_trajectory
-from gauge_envs.scoring.user_file.gate import band_fault, trial_faults
+from gauge_envs.scoring.user_file.gate import band_fault
 from gauge_envs.tools.dataset import importer
 
 SLIDER, PLATE, ROPE = "SlopeSlider-2-wood", "Turntable-2-wood", "RopeWinding-rubber"
@@ -130,20 +126,12 @@ def test_a_damaged_trial_is_named(name, tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("lost", "recording"),
-    [
-        (LOST_DAMAGES, RECORDING_DAMAGES),
-        (UNSEEN_LOST_DAMAGES, UNSEEN_RECORDING_DAMAGES),
-    ],
-    ids=["seen", "unseen"],
-)
-@pytest.mark.parametrize(
     ("name", "part"), [(name, part) for name in PARTS for part in PARTS[name]]
 )
-def test_each_damaged_trial_is_named(name, part, lost, recording, tmp_path):
-    rng = np.random.default_rng(len(lost))
+def test_each_damaged_trial_is_named(name, part, tmp_path):
+    rng = np.random.default_rng(22)
     _, marker = part
-    damages = lost | recording if marker is None else lost
+    damages = ALL_DAMAGES if marker is None else LOST_DAMAGES
     cases = path_cases(name, part, damages, rng) | FILE_DAMAGES
     assert silent(tmp_path, name, rng, cases) == []
 
@@ -186,44 +174,6 @@ def test_clean_trials_are_all_imported(name, tmp_path):
         assert (outcome.used, left_out) == (len(contents), []), options
 
 
-def test_starts_far_apart_with_lost_frames_are_clean(tmp_path):
-    """Each trial starts up to 285 mm elsewhere. With lost frames, its offset must not look like a deviation."""
-    rng = np.random.default_rng(2)
-    name = "SlopeSlider-3-plastic"
-    contents = clean_contents(name, rng, noise_mm=1.0, lost=0.05)
-    for content in contents:
-        offset_mm = rng.normal(size=3)
-        offset_mm *= 285.0 * rng.uniform(0.3, 1.0) / np.linalg.norm(offset_mm)
-        for asset in content.values():
-            if not isinstance(asset, dict) or "x" not in asset:
-                continue
-            for axis, by_mm in zip("xyz", offset_mm, strict=True):
-                asset[axis] = [
-                    None if place is None else place + by_mm for place in asset[axis]
-                ]
-    outcome = import_files(tmp_path, name, [*map(as_text, contents)])
-    assert [finding for finding in outcome.findings if finding.left_out] == []
-
-
-def test_few_trials_are_compared_with_the_reference_or_not_at_all(tmp_path):
-    """The board of the free slide has a law; the motion of a turntable may differ from that of the reference."""
-    for name, part in ((SLIDER, ("cube", None)), (PLATE, ("cube", None))):
-        rng = np.random.default_rng(3)
-        contents = clean_contents(name, rng, 3)
-        texts = [*map(as_text, contents)]
-        outcome = import_files(tmp_path / "clean", name, texts)
-        half = {"half": UNSEEN_RECORDING_DAMAGES["half as large"]}
-        make = path_cases(name, part, half, rng)["half"]
-        damaged = import_files(tmp_path / "half", name, [make(contents), *texts[1:]])
-        if name == SLIDER:
-            assert (outcome.used, outcome.findings) == (3, [])
-            (finding,) = damaged.findings
-            assert damaged.used == 2 and "from the reference" in finding.problem
-        else:
-            (finding,) = outcome.findings
-            assert not finding.left_out and "not compared" in finding.problem
-
-
 @pytest.mark.parametrize("order", [(3, 0, 1, 2), (1, 3, 2, 0)])
 def test_an_orientation_in_another_order_is_left_out(order, tmp_path):
     """Option `trial` starts from the rotation relative to the mean of the trials, so a wrong one turns all starts."""
@@ -258,87 +208,6 @@ def test_another_material_is_named_and_kept_on_request(tmp_path, gauge):
         assert f"{count} trials of 1 experiment" in result.stderr
         said = " ".join((result.stdout + result.stderr).split())
         assert "from the median trial" in said
-
-
-@pytest.mark.parametrize(
-    ("own", "other", "fewest", "most"),
-    [("plastic", "metal", 8, 19), ("metal", "wood", 0, 0)],
-)
-def test_real_trials_of_another_material_are_named_if_their_scatter_allows_it(
-    own, other, fewest, most
-):
-    """The friction of metal scatters by more than its difference from that of wood."""
-    bands = {name: load_band(f"SlopeSlider-2-{name}") for name in (own, other)}
-    trials = {f"own {k}": trial for k, trial in enumerate(bands[own].trials)}
-    others = {other: bands[other].mean}
-    names = bands[own].coordinates
-    assert trial_faults(names, trials, others=others) == {}
-    found = []
-    for trial in bands[other].trials:
-        wrong = np.full_like(bands[own].mean, np.nan)
-        wrong[: len(trial)] = trial[: len(wrong)]
-        found.append(trial_faults(names, trials | {"wrong": wrong}, others=others))
-    assert all(set(faults) <= {"wrong"} for faults in found)
-    named = [fault for faults in found for fault in faults.values()]
-    assert fewest <= len(named) <= most
-    assert all(f"median trial to {other}" in fault.problem for fault in named)
-
-
-@pytest.mark.parametrize("name", ["FoamBending-soft"])
-def test_markers_of_another_size_are_named(name, tmp_path):
-    """A foam of half the size, and a motion of half the size, are smaller than the distance of two trials."""
-
-    def smaller(contents):
-        entry = contents[0]["foam"]
-        for axis in "xyz":
-            centre = np.mean([marker[axis][0] for marker in entry.values()])
-            for marker in entry.values():
-                column = centre + 0.5 * (np.array(marker[axis]) - centre)
-                marker[axis] = column.tolist()
-        return as_text(contents[0])
-
-    rng = np.random.default_rng(8)
-    kinds = ("half as large", "motion mirrored")
-    damages = {k: (UNSEEN_RECORDING_DAMAGES | RECORDING_DAMAGES)[k] for k in kinds}
-    cases = path_cases(name, ("foam", None), damages, rng) | {"smaller": smaller}
-    assert silent(tmp_path, name, rng, cases) == []
-
-
-def verdicts():
-    """Return the verdicts of exact slides against the import; glued is a friction without motion."""
-    experiment = load_experiment(SLIDER, reference="imported")
-    start_mm = 1e3 * np.asarray(experiment.scene.body("cube").pose.position_m)
-    times_s = np.arange(experiment.frame_count) / 30.0
-    found = {}
-    for friction in (0.20, 0.257, 0.40, math.inf):
-        acceleration = 9806.65 * max(0.0, 0.5 - friction * math.sqrt(0.75))
-        path_mm = 0.5 * acceleration * times_s[:, None] ** 2
-        values = start_mm + path_mm * [math.sqrt(0.75), 0.0, -0.5]
-        score = score_trajectory(
-            experiment, band_of(SLIDER), times_s=times_s, values=values
-        )
-        assert np.isfinite(score.real_limit)
-        found[friction] = (score.solves, score.like_reality)
-    return found
-
-
-def test_verdicts_are_those_of_the_clean_trials(tmp_path):
-    """A lost coordinate made the limit infinite, so that each motion was inside."""
-    rng = np.random.default_rng(1)
-    contents = clean_contents(SLIDER, rng)
-    texts = [*map(as_text, contents)]
-    import_files(tmp_path, SLIDER, texts)
-    expected = verdicts()
-    assert expected[math.inf][1] == "no"
-    damages = drawn(ALL_DAMAGES, rng, 3) | {
-        "x": LOST_DAMAGES["x never captured"],
-        "half": LOST_DAMAGES["half of the frames"],
-    }
-    for damage, make in path_cases(SLIDER, ("cube", None), damages, rng).items():
-        text = make(copy.deepcopy(contents))
-        outcome = import_files(tmp_path, SLIDER, [text, *texts[1:]])
-        assert (outcome.used, outcome.left_out) == (19, 1)
-        assert verdicts() == expected, damage
 
 
 def test_bundled_real_trials_pass_the_gate():

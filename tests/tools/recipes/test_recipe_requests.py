@@ -9,15 +9,12 @@ import mujoco
 import numpy as np
 import pytest
 from places import ROOT
-from typer.testing import CliRunner
 
 from gauge_envs.backends.shared.spring_damper import spring_damper_restitution
-from gauge_envs.cli.app import app
 from gauge_envs.errors import ParameterError
 from gauge_envs.fixtures.recording import UnsupportedError
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G
 from gauge_envs.tools.recipes import Aim, engine_settings, find_recipe
-from gauge_envs.tools.recipes.materials import material_pairs
 
 GOOD = "--backend=mujoco --friction=0.4 --mass=0.5 --set=timestep_s=0.002"
 """A valid request; a later option replaces an earlier option of the same name."""
@@ -146,15 +143,6 @@ def test_a_miss_has_its_reason():
 # --- materials -------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
-def test_the_values_of_a_material_come_from_the_task_files(values):
-    recipe = values("wood-on-wood --set=timestep_s=0.002 --backend mujoco")
-    (pair,) = [pair for pair in material_pairs() if pair.name == "wood-on-wood"]
-    for key in ("friction", "restitution", "mass_kg"):
-        assert recipe["asked"][key] == getattr(pair, key)
-    assert recipe["material"]["friction_std"] == pair.friction_std > 0.0
-
-
 def test_the_list_of_materials_has_sources_and_uncertainties(gauge):
     """Real drops rebound 0.160 above the published restitution of the rubber ball."""
     lines = gauge("list", "materials", "--json").stdout.splitlines()
@@ -187,13 +175,6 @@ def test_a_wrong_request_is_an_error_with_the_reason(words, message, gauge):
     assert message in " ".join(result.output.split())
 
 
-@pytest.mark.parametrize("option", ["--backend", "--mass", "--set"])
-def test_an_incomplete_request_is_an_error_with_the_missing_option(option, gauge):
-    words = [word for word in GOOD.split() if not word.startswith(option)]
-    result = gauge("recipe", *words)
-    assert result.exit_code == 2 and option in result.output
-
-
 @pytest.mark.parametrize(
     ("text", "message"),
     [
@@ -221,9 +202,3 @@ def test_a_divergence_is_an_outcome_with_its_cause(monkeypatch, gauge):
     recipe = json.loads(result.stdout)
     assert set(recipe["reached"].values()) == {None}
     assert "diverges" in recipe["explanation"]
-
-
-def test_a_narrow_terminal_does_not_cut_the_snippet(values):
-    words = ["recipe", "satin", "--backend", "isaac"]
-    text = CliRunner(env={"COLUMNS": "40"}).invoke(app, words).stdout
-    assert text.endswith(values("satin --backend isaac")["snippet"])

@@ -2,9 +2,12 @@
 
 from collections.abc import Callable
 from pathlib import Path
+from xml.etree import ElementTree
 
 import mujoco
 import numpy as np
+
+from gauge_envs.tools.replay.log import JointMap, LogMap
 
 ARM = """
 <mujoco>
@@ -140,3 +143,46 @@ def swing(folder: Path, dry: float, viscous: float) -> tuple[Path, Path]:
     np.savez(log, t=times_s, q_pivot=np.array(angles) + noise)
     file.write_text(PENDULUM)
     return log, file
+
+
+def written_otherwise(columns: dict, writing: str) -> tuple[dict, LogMap]:
+    """Return the columns of the same log, written otherwise, and its map."""
+    if writing == "clock":
+        return {"t": columns["t"] + 1000.0}, LogMap()
+    angles = {key: columns[key] for key in ("q", "dq", "target")}
+    if writing == "unit":
+        return {key: np.rad2deg(angles[key]) for key in angles}, LogMap(unit="deg")
+    if writing == "order":
+        turned = {key: angles[key][:, ::-1] for key in angles}
+        return turned | {"joints": columns["joints"][::-1]}, LogMap()
+    if writing == "mirror":
+        entries = {str(name): JointMap(sign=-1) for name in columns["joints"]}
+        return {key: -angles[key] for key in angles}, LogMap(joints=entries)
+    if writing == "half":
+        return {key: columns[key][:200] for key in ("t", *angles)}, LogMap()
+    fewer = {key: columns[key][::2] for key in ("t", "q", "dq")}
+    return fewer | {"command_t": columns["t"]}, LogMap()
+
+
+def paste(file: Path, lines: str) -> None:
+    """Put lines of MJCF into a model: attributes of the element with this name."""
+    tree = ElementTree.parse(file)
+    root = tree.getroot()
+    for line in lines.splitlines():
+        element = ElementTree.fromstring(line)
+        if element.tag == "option":
+            root.find("option").attrib.update(element.attrib)
+        elif element.tag == "joint":
+            name = element.get("name")
+            root.find(f".//body/joint[@name='{name}']").attrib.update(element.attrib)
+        elif element.tag == "body":
+            body = root.find(f".//body[@name='{element.get('name')}']")
+            body.append(element.find("inertial"))
+        else:
+            joint = element.get("joint")
+            old = root.find(f"./actuator/*[@joint='{joint}']")
+            if old.tag == element.tag:
+                element.attrib = old.attrib | element.attrib
+            actuators = root.find("actuator")
+            actuators[list(actuators).index(old)] = element
+    tree.write(file)

@@ -7,19 +7,13 @@ import numpy as np
 import pytest
 import yaml
 from planted_arm import ARM, SERVO, record
+from test_causes import set_servo
 
 from gauge_envs.errors import FileError, ParameterError
 from gauge_envs.tools.replay.constants import fit_logs, parameter_dict
 from gauge_envs.tools.replay.judge import judge_models
 from gauge_envs.tools.replay.log import LogMap
 from gauge_envs.tools.replay.schema import Value
-
-
-def set_servo(model):
-    model.actuator_gainprm[0, 0] = 12.0
-    model.actuator_biasprm[0, 1] = -12.0
-    model.dof_armature[0] = 0.024
-    model.dof_damping[:] *= 2.0
 
 
 @pytest.fixture(scope="module")

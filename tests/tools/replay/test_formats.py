@@ -8,7 +8,6 @@ from contextlib import closing
 
 import numpy as np
 import pytest
-from test_logs import URDF
 
 from gauge_envs.errors import FileError, GaugeError
 from gauge_envs.tools.replay import ReplayVerdict, read_log, read_map, replay
@@ -211,6 +210,22 @@ def test_a_missing_library_is_named_with_its_extra(tmp_path, monkeypatch, name, 
     monkeypatch.setitem(sys.modules, module, None)
     with pytest.raises(GaugeError, match=r"not installed: pip install .*\[logs\]"):
         read_log(tmp_path / name)
+
+
+URDF = """
+<robot name="pendulum">
+  <link name="world"/>
+  <link name="rod">
+    <inertial>
+      <origin xyz="0 0 -0.2"/><mass value="0.5"/>
+      <inertia ixx="0.01" iyy="0.01" izz="0.001" ixy="0" ixz="0" iyz="0"/>
+    </inertial>
+  </link>
+  <joint name="pivot" type="continuous">
+    <parent link="world"/><child link="rod"/><axis xyz="0 1 0"/>
+  </joint>
+</robot>
+"""
 
 
 def test_a_urdf_is_driven_by_the_gains_of_the_map(tmp_path):

@@ -6,14 +6,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from places import ROOT
-from planted_arm import SERVO, record
+from planted_arm import SERVO, record, written_otherwise
 from scipy.linalg import expm
 from scipy.spatial.transform import Rotation
 from texts import fenced
 
 from gauge_envs.errors import GaugeError
 from gauge_envs.tools.replay import ReplayVerdict, read_log, read_map, replay
-from gauge_envs.tools.replay.log import JointMap, LogMap
 
 EXAMPLE = ROOT / "examples" / "replay"
 
@@ -78,23 +77,6 @@ def test_true_velocities_of_a_fast_motion_raise_no_warning(tmp_path):
     angles = rate * time_s[:, None] + phase
     fast = saved(tmp_path, log, q=0.1 * np.sin(angles), dq=0.1 * rate * np.cos(angles))
     assert not any("velocities are" in text for text in read_log(fast).mistakes)
-
-
-def written_otherwise(columns, writing):
-    """The same log, written otherwise, and its map."""
-    joints = {key: columns[key] for key in ("q", "dq", "target")}
-    if writing == "clock":
-        return {"t": columns["t"] + 1000.0}, LogMap()
-    if writing == "unit":
-        return {key: np.rad2deg(joints[key]) for key in joints}, LogMap(unit="deg")
-    if writing == "order":
-        turned = {key: joints[key][:, ::-1] for key in joints}
-        return turned | {"joints": columns["joints"][::-1]}, LogMap()
-    if writing == "mirror":
-        entries = {str(name): JointMap(sign=-1) for name in columns["joints"]}
-        return {key: -joints[key] for key in joints}, LogMap(joints=entries)
-    half = {key: columns[key][:200] for key in ("t", *joints)}
-    return half, LogMap()
 
 
 @pytest.mark.parametrize("writing", ["clock", "unit", "order", "mirror", "half"])
@@ -244,36 +226,6 @@ def test_the_map_that_a_check_finds_makes_it_silent(tmp_path):
     assert np.allclose(again.velocity, found.velocity, rtol=1e-3)
 
 
-URDF = """
-<robot name="pendulum">
-  <link name="world"/>
-  <link name="rod">
-    <inertial>
-      <origin xyz="0 0 -0.2"/><mass value="0.5"/>
-      <inertia ixx="0.01" iyy="0.01" izz="0.001" ixy="0" ixz="0" iyz="0"/>
-    </inertial>
-  </link>
-  <joint name="pivot" type="continuous">
-    <parent link="world"/><child link="rod"/><axis xyz="0 1 0"/>
-  </joint>
-</robot>
-"""
-
-
-def test_a_urdf_model_predicts_a_swing_of_the_closed_form(tmp_path):
-    # Small swings: angle a cos(w t) with w^2 = m g c / (I + m c^2).
-    rate = np.sqrt(0.5 * 9.81 * 0.2 / (0.01 + 0.5 * 0.2**2))
-    time_s = np.arange(0.0, 5.0, 0.01)
-    model, log = tmp_path / "pendulum.urdf", tmp_path / "log.npz"
-    model.write_text(URDF)
-    angle = 0.02 * np.cos(rate * time_s)
-    speed = -0.02 * rate * np.sin(rate * time_s)
-    np.savez(log, t=time_s, q_pivot=angle, dq_pivot=speed)
-    line = replay(log, model).line
-    assert line.verdict is ReplayVerdict.NOISE
-    assert "no commands" in line.findings[0]
-
-
 def test_the_longest_name_of_a_column_counts(tmp_path):
     """`command_rad_hip` is the command of `hip`, not of a joint `rad_hip`."""
     file = tmp_path / "log.csv"
@@ -282,18 +234,6 @@ def test_the_longest_name_of_a_column_counts(tmp_path):
     log = read_log(file)
     assert (log.joints, log.command_kind) == (("hip",), "target")
     assert log.command_names == ("hip",)
-
-
-def test_a_log_in_parquet_is_read(tmp_path):
-    pyarrow = pytest.importorskip("pyarrow")
-    from pyarrow import parquet
-
-    time_s = np.arange(0.0, 1.0, 0.02)
-    table = {"t": time_s, "q_hip": np.sin(time_s), "dq_hip": np.cos(time_s)}
-    parquet.write_table(pyarrow.table(table), tmp_path / "log.parquet")
-    log = read_log(tmp_path / "log.parquet")
-    assert log.joints == ("hip",)
-    assert np.allclose(log.position[:, 0], np.sin(time_s))
 
 
 def test_the_recorder_of_the_page_writes_a_log_of_gymnasium(tmp_path):
@@ -372,3 +312,15 @@ def test_the_real_pendulum_needs_armature_and_losses(gauge):
     rows = {row["joint"]: row for row in json.loads(shown.stdout)["joints"]}
     assert rows["elbow"]["repeat_rms"] == pytest.approx(0.040, abs=0.002)
     assert rows["elbow"]["predictions"][2]["rms"] < 0.06
+
+
+def test_a_log_in_parquet_is_read(tmp_path):
+    pyarrow = pytest.importorskip("pyarrow")
+    from pyarrow import parquet
+
+    time_s = np.arange(0.0, 1.0, 0.02)
+    table = {"t": time_s, "q_hip": np.sin(time_s), "dq_hip": np.cos(time_s)}
+    parquet.write_table(pyarrow.table(table), tmp_path / "log.parquet")
+    log = read_log(tmp_path / "log.parquet")
+    assert log.joints == ("hip",)
+    assert np.allclose(log.position[:, 0], np.sin(time_s))

@@ -78,22 +78,6 @@ def test_the_summary_shows_the_quantity_farthest_from_reality(score, text):
     assert motion_text(score) == text
 
 
-def test_the_summary_shows_events_of_recordings_and_missing_events():
-    swing = measured(2.5, "Hz", 1.68, 0.08)
-    score = replace(NONE, events={"swing_frequency_hz": swing})
-    assert motion_text(score) == "swings at 2.5 Hz; the recording 1.68 +- 0.08 Hz"
-    absent = measured(None, "mm", 9.8, 3.9)
-    score = replace(NONE, events={**SWING.events, "cube_lag_mm": absent})
-    assert motion_text(score) == "cube lag does not happen; the recording 9.8 +- 3.9 mm"
-    droop = measured(15.084, "mm", 16.158, 0.009)
-    score = replace(NONE, estimates={"droop": droop})
-    text = "droops by 15.1 mm; real trials 16.2 +- 0.009 mm"
-    assert motion_text(score) == text
-    alone = ComparedQuantity(value=0.387, unit="1", uncertainty=1e-4)
-    score = replace(NONE, estimates={"friction": alone})
-    assert motion_text(score) == "slides as with friction 0.387"
-
-
 @pytest.mark.parametrize(
     ("cause", "text"),
     [
@@ -125,23 +109,6 @@ def test_a_cause_names_the_constants_that_differ_from_reality():
     score = replace(score, estimates={"friction": right})
     text = "the constants or the start of the scene are wrong"
     assert text in cause_text(score, "measured")
-
-
-def test_many_results_have_rows_without_explanations():
-    text = shown([result(SLIDE, seed=seed) for seed in range(20)])
-    assert len(text.splitlines()) <= 25
-    assert "seed 19" in text
-    assert "friction" not in text
-
-
-def test_five_ids_fit_a_screen():
-    swings = [result(SWING, backend="newton")] * 4
-    lines = shown([result(SLIDE), *swings], width=80).splitlines()
-    assert len(lines) <= 28
-    assert max(map(len, lines)) <= 80
-    assert lines[0] == "1 of 5 solve their scene; 0 of 5 are like reality."
-    # The common configuration follows.
-    assert lines[1] == "published"
 
 
 def test_the_summary_gives_reasons_for_rejected_and_diverged_results():

@@ -65,17 +65,6 @@ def test_each_episode_runs_once(tmp_path):
     assert len(swept(longer, tmp_path)) == 12 - 4
 
 
-def test_a_damaged_result_runs_again(tmp_path):
-    plan = planned(settings=QUICK)
-    swept(plan, tmp_path)
-    file = min(tmp_path.glob("*.json"))
-    file.write_text(file.read_text()[:1000])
-    notes = []
-    assert len(swept(plan, tmp_path, notify=notes.append)) == 1
-    (note,) = notes
-    assert file.name in note
-
-
 def test_retry_failed_runs_failures_again(tmp_path):
     plan = planned()
     (result,) = swept(plan, tmp_path, mortal_worker(0))
@@ -119,20 +108,6 @@ def test_a_sweep_runs_in_parts_after_a_plan(gauge, tmp_path):
     assert row["simulated_s"] == pytest.approx(2 * 0.6)
     table = gauge(*words).stdout.splitlines()
     assert table[-1].split() == ["mujoco", "finished", "4"]
-
-
-def test_ctrl_c_keeps_complete_results(gauge, tmp_path, monkeypatch):
-    class Interrupted(HereWorker):
-        def run(self, request):
-            if len(self.requests) == 2:
-                raise KeyboardInterrupt
-            return super().run(request)
-
-    monkeypatch.setattr(command, "_workers", lambda *arguments: [Interrupted()])
-    stopped = gauge("sweep", "sweep.toml", "--out", "out")
-    assert stopped.exit_code == 130
-    assert "the same command continues" in stopped.stderr
-    assert len(contents(tmp_path / "out")) == 2
 
 
 @needs_rapier

@@ -42,3 +42,18 @@ def quadruped_xml(
         <body name="trunk" pos="0 0 .322"><freejoint/>
           <geom name="trunk" type="box" size=".2 .08 .05" mass="7.84"/>{legs}</body></worldbody>
       <equality>{locks}</equality></mujoco>"""
+
+
+JOINT = 'armature="0.005" damping="0.5" frictionloss="0.2"'
+
+
+def good_xml():
+    """Return the quadruped of 12 kg with servos of 80 N m/rad and a keyframe, which passes all checks."""
+    text = quadruped_xml(friction=0.8).replace('armature="0.005"', JOINT)
+    servos = "".join(
+        f'<position joint="{leg}_{joint}" kp="80" kv="2" forcerange="-40 40"/>'
+        for leg in ("FL", "FR", "RL", "RR")
+        for joint in ("hip", "knee")
+    )
+    home = '<keyframe><key name="home" qpos="0 0 .322 1 0 0 0 0 0 0 0 0 0 0 0"/></keyframe>'
+    return text.replace("</mujoco>", f"<actuator>{servos}</actuator>{home}</mujoco>")

@@ -4,7 +4,7 @@ import re
 
 import mujoco
 import pytest
-from robot_faults import good_xml
+from quadruped import good_xml
 
 from gauge_envs.tools.sanity import configuration
 from gauge_envs.tools.sanity.model_checks import at_rest, runs

@@ -3,7 +3,7 @@
 import mujoco
 import numpy as np
 import pytest
-from sanity_cases import CHEETAH, moved
+from rigid import recording_of
 
 from gauge_envs.backends import backend
 from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo
@@ -20,6 +20,16 @@ from gauge_envs.tools.sanity.verdict import Reality, SanityVerdict
 
 MUJOCO = backend("mujoco")
 ALONG, UP = np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0])
+
+CHEETAH = {
+    "timestep_s": 0.01,
+    "integrator": "Euler",
+    "cone": "pyramidal",
+    "impratio": 1.0,
+    "contact_solref": (0.02, 1.0),
+    "contact_solimp": (0.0, 0.8, 0.01, 0.5, 2.0),
+}
+"""Numerical settings of Gymnasium's HalfCheetah, feet on ground."""
 
 REALITIES = """
 creep-wood         0         1.4111
@@ -49,7 +59,7 @@ def test_the_values_of_reality_and_their_intervals_stay():
 def read(name, times, **displacements_m):
     """Outcome of a check for given displacements [m]."""
     check = object_check(name)
-    return judged(check, moved(check.scenario, times, **displacements_m))
+    return judged(check, recording_of(check.scenario.scene, times, **displacements_m))
 
 
 def on_board(name, axis):

@@ -121,14 +121,6 @@ def test_the_screen_has_the_answer_then_the_model_then_objects_then_the_fix():
     assert "Best fix: resolves 1 of 3 findings; as fast" in lines
 
 
-def test_the_screen_shows_all_findings_of_the_model():
-    on_target = [replace(SPIN, id=f"model-{number}") for number in range(12)]
-    objects = [replace(CREEP, id=f"creep-{number}") for number in range(20)]
-    checked = report(*on_target, *objects, PERIOD, WALL, fix=FIX)
-    assert 20 < len(screen(checked)) < 30
-    assert len(screen(checked, is_all=True)) > 40
-
-
 def test_a_report_that_passes_is_a_line():
     answer = "Robot-v0: 1 check passed"
     assert screen(report(PERIOD)) == [answer]

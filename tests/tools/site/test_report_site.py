@@ -13,7 +13,6 @@ from gauge_envs.runs.batch import run_many
 from gauge_envs.runs.motion import load_motion, motion_file
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result_file import load_result, recorded_experiment, write_result
-from gauge_envs.scene.jitter import Jitter
 from gauge_envs.scoring.reference import reference_band
 from gauge_envs.tools.site import save_site
 from gauge_envs.tools.site.motion_view import motion_view_data
@@ -170,13 +169,6 @@ def test_a_page_names_the_missing_or_damaged_motion(content, slide, tmp_path):
     assert "gauge run" in note
 
 
-def test_a_file_keeps_the_motion_in_single_precision(slide, tmp_path):
-    write_result(slide, tmp_path / "a.json")
-    motion = load_motion(motion_file(tmp_path / "a.json"))
-    assert (motion.bodies, motion.rate_hz) == (slide.motion.bodies, 60.0)
-    np.testing.assert_allclose(motion.poses, slide.motion.poses, rtol=1e-7, atol=1e-9)
-
-
 def unpacked(packed):
     return np.frombuffer(b64decode(packed["data"]), "<i2") * packed["step"]
 
@@ -196,10 +188,3 @@ def test_the_data_have_the_slope_of_the_cube_and_real_values_as_ghost(slide):
     # Motion across the slope was not measured, so the ghost stays in its initial plane.
     across = np.linalg.svd(band.projection)[2][1:]
     np.testing.assert_allclose((places_mm - places_mm[0]) @ across.T, 0.0, atol=1e-6)
-
-
-def test_a_3d_view_has_the_initial_state_of_its_repeat():
-    noise = Jitter(position_m=0.0015, angle_rad=0.01)
-    first, _ = run_many([RunRequest(SLIDE, repeats=2, seed=1, jitter=noise)])
-    start_mm = 1e3 * first.motion.poses[0, 0, :3]
-    np.testing.assert_allclose(start_mm, first.trajectory.samples[0], atol=1e-9)

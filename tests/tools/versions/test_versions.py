@@ -17,7 +17,6 @@ from gauge_envs.tools.versions.comparison import (
     depth_m,
     find_change,
 )
-from gauge_envs.tools.versions.environments import work
 from gauge_envs.tools.versions.report import comparison_document
 from gauge_envs.tools.versions.schema import Quantity, VersionsVerdict
 
@@ -39,15 +38,6 @@ def test_a_version_does_not_differ_from_itself(compared):
     assert (comparison.verdict, comparison.states) == (VersionsVerdict.SAME, 2 * 3 * 20)
     assert (comparison.largest, comparison.first) == (0, None)
     assert comparison.fields == ()
-
-
-def test_a_step_without_damping_adds_the_acceleration_to_velocities(
-    monkeypatch, tmp_path
-):
-    job = plant_workers(monkeypatch, tmp_path)
-    (run,) = work("run", job, [side("old")])
-    (probe,) = work("probe", job, [side("old")], run)
-    assert np.allclose(probe["step_acc"], probe["qacc"], atol=1e-8)
 
 
 def rounded(arrays):

@@ -58,6 +58,7 @@ def test_an_object_at_another_place_is_doubtful(task):
     assert registration_by_outline(moved, video_task(task)).problem == UNSEEN
 
 
+@pytest.mark.slow
 def test_a_cropped_clip_gives_the_true_acceleration():
     film = clip("SlopeSlider-2-metal", np.random.default_rng(11))
     frames = [laid_out(frame, "crop") for frame in film.frames]

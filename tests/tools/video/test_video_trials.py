@@ -41,14 +41,8 @@ def test_the_recorded_pendulum_has_its_period():
     assert 1.06 < low < 1.201 < high
 
 
-@pytest.mark.parametrize(
-    "material",
-    [
-        "wood",
-        pytest.param("plastic", marks=pytest.mark.slow),
-        pytest.param("metal", marks=pytest.mark.slow),
-    ],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("material", ["wood", "plastic", "metal"])
 def test_real_slides_have_their_acceleration(material):
     """The trials begin with the fourth frame after the release; the fit finds the release."""
     task = video_task(f"SlopeSlider-2-{material}")

@@ -88,16 +88,16 @@ class ContactSettings(BaseModel, ABC):
         Raises:
             ParameterError: The text has a wrong form, or a setting does not exist.
         """
-        values = {}
-        for name, part in PAIR.findall(text):
-            matches = VALUE.findall(part)
-            values[name] = tuple(matches) if len(matches) > 1 else "".join(matches)
         if not PAIR.match(text):
             raise ParameterError(
                 f"{cls.engine} contact {text!r}: expected names=values, for example 'friction=0.5'"
             )
+        values: dict[str, Any] = {"timestep_s": timestep_s}
+        for name, part in PAIR.findall(text):
+            matches = VALUE.findall(part)
+            values[name] = tuple(matches) if len(matches) > 1 else "".join(matches)
         try:
-            return cls.model_validate({**values, "timestep_s": timestep_s})
+            return cls.model_validate(values)
         except ValidationError as error:
             key, reason = first_fault(error, noun="setting")
             settings = ", ".join(cls.model_fields)

@@ -42,7 +42,6 @@ MIN_TIME_STEPS = 2.0
 """Smallest time constant in Genesis [steps]; it raises shorter ones."""
 
 SolParams = tuple[float, float, float, float, float, float, float]
-"""Time constant [s], damping ratio, and impedance: minimum, maximum, width [m], midpoint, power."""
 
 SHAPE = (0.001, 0.5, 2.0)
 """Width [m], midpoint and power of an impedance that is constant in depth."""
@@ -70,13 +69,7 @@ class GenesisSettings(ContactSettings):
     }
 
     friction: float = Field(default=1.0, ge=0.01, le=5.0)
-    sol_params: SolParams = (
-        0.01,
-        1.0,
-        0.9,
-        0.95,
-        *SHAPE,
-    )
+    sol_params: SolParams = (0.01, 1.0, 0.9, 0.95, *SHAPE)
     friction_cone: str = "pyramidal"
     contact_resolution: str = "convex"
     impratio: float = 1.0
@@ -105,15 +98,15 @@ class GenesisSettings(ContactSettings):
     def constants(cls, aim: Aim) -> dict[str, Any]:
         """Return the spring of the stiffness, or a spring that steps resolve, with the damping of the rebound."""
         spring_per_s = spring_frequency_per_s(aim)
-        steps = IMPACT_STEPS if aim.rebound else HARD_STEPS
+        steps, usual = HARD_STEPS, HARD_IMPEDANCE
+        if aim.rebound:
+            steps, usual = IMPACT_STEPS, SOFT_IMPEDANCE
         steps = max(min(steps, MAX_IMPACT_S / aim.timestep_s), MIN_IMPACT_STEPS)
         frequency_per_s = spring_per_s or math.pi / (steps * aim.timestep_s)
         impedance = SOFT_IMPEDANCE
         if spring_per_s is None:
             impedance = impedance_of(
-                aim,
-                SOFT_IMPEDANCE if aim.rebound else HARD_IMPEDANCE,
-                lambda load_s2: 1.0 - load_s2 * frequency_per_s**2,
+                aim, usual, lambda load_s2: 1.0 - load_s2 * frequency_per_s**2
             )
         # The time constant is 1 / (ratio frequency).
         max_ratio = 1.0 / (MIN_TIME_STEPS * aim.timestep_s * frequency_per_s)
@@ -126,7 +119,6 @@ class GenesisSettings(ContactSettings):
 
     def snippet(self) -> str:
         """Return Python for the options, the material and the constants of a scene."""
-        torsion, rolling = f"{self.torsion_m:g}", f"{self.rolling_m:g}"
         turns = bool(self.torsion_m or self.rolling_m)
         return f"""\
 import genesis as gs
@@ -145,7 +137,9 @@ def rigid_options():  # gs.Scene(rigid_options=rigid_options(), ...)
     )
 
 def material():  # of both entities
-    return gs.materials.Rigid(friction={self.friction:g}, friction_torsional={torsion}, friction_rolling={rolling})
+    return gs.materials.Rigid(
+        friction={self.friction:g}, friction_torsional={self.torsion_m:g}, friction_rolling={self.rolling_m:g}
+    )
 
 def set_contact(scene):  # after scene.build()
     scene.rigid_solver.set_global_sol_params(({numbers(self.sol_params, ", ")}))

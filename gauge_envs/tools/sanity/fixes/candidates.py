@@ -1,7 +1,5 @@
 """List documented changes of settings that may resolve failed checks, in a fixed order of cost."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from typing import Any

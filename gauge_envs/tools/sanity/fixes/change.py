@@ -1,7 +1,5 @@
 """Apply changes of settings to a configuration as a user would paste them."""
 
-from __future__ import annotations
-
 import copy
 
 import mujoco

@@ -1,7 +1,5 @@
 """Find the fix: apply documented changes as a user would paste them, and run the checks again."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from heapq import heapify, heappop, heappush

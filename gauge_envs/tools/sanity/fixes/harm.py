@@ -4,8 +4,6 @@ A soft contact damps the sliding speed like the normal speed. Where it stops a b
 body of speed v with mu v. The body then hops by mu^2 v^2 / (2 g): 54 mm at 4 m/s.
 """
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Sequence

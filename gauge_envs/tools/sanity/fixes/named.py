@@ -1,7 +1,5 @@
 """Correct the attributes that findings name, and try the correction on a copy of the model."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Sequence
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Change attributes in the text of a model, so that a diff shows only these."""
 
-from __future__ import annotations
-
 import os
 import re
 from collections.abc import Callable, Iterator, Mapping

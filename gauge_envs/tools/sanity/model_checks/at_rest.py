@@ -1,7 +1,5 @@
 """Checks of the model at rest: overlap, constraints that open, slip, motion that a finer run does not show."""
 
-from __future__ import annotations
-
 from operator import attrgetter
 
 import mujoco

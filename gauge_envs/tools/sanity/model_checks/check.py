@@ -3,8 +3,6 @@
 A rule is a check whose function yields the faulty elements of a model, most of them without a simulation.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace

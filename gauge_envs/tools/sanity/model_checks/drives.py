@@ -1,7 +1,5 @@
 """Read what drives, brakes and loads the joints of a robot."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 

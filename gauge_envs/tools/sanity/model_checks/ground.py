@@ -1,7 +1,5 @@
 """Check the contacts of a robot with the ground, with objects and with itself, and how it stands under servos."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 

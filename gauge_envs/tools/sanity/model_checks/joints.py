@@ -1,7 +1,5 @@
 """Check what drives and brakes the joints of a robot."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from copy import copy
 

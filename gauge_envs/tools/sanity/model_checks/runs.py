@@ -4,8 +4,6 @@ The start is the keyframe in which the robot stands or the first one, else the m
 rest: they get the controls of the keyframe, else position servos the command that holds the start, and all others 0.
 """
 
-from __future__ import annotations
-
 import copy
 
 import mujoco

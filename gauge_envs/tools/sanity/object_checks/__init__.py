@@ -1,7 +1,5 @@
 """Checks of measured objects in GAUGE's experiments, each with a number, its scatter and its source."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import cache, partial

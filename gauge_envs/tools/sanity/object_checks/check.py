@@ -15,9 +15,8 @@ from gauge_envs.experiments.variants import find_variant
 from gauge_envs.files import data_folder
 from gauge_envs.fixtures.recording import Recording, UnsupportedError, record
 from gauge_envs.scene import Pose, RigidBody, Scene
-from gauge_envs.scene.geometry import FloatArray, vector
+from gauge_envs.scene.geometry import vector
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
-from gauge_envs.scoring.estimators import acceleration_m_per_s2
 from gauge_envs.text import toml_document
 from gauge_envs.tools.sanity.verdict import Need, Reality, Settings
 
@@ -163,11 +162,6 @@ def facts(name: str) -> dict[str, Any]:
     """Return the table of `scoring/facts/<name>.toml`."""
     file = data_folder("scoring") / "facts" / f"{name}.toml"
     return toml_document(file.read_bytes())
-
-
-def acceleration(times_s: FloatArray, displacement_mm: FloatArray) -> float:
-    """Return the mean acceleration of a displacement [m/s^2]; both have shape [sample_count]."""
-    return 1e-3 * acceleration_m_per_s2(times_s, displacement_mm)
 
 
 def rigid_law(source: str, millimetres: float, of: str) -> Reality:

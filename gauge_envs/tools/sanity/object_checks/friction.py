@@ -3,7 +3,6 @@
 A sliding cube has the friction that the same trials show, so that the check compares the engine alone.
 """
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -11,15 +10,17 @@ from scipy.spatial.transform import Rotation
 
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.fixtures.recording import Recording
-from gauge_envs.fixtures.slope import moved_m
+from gauge_envs.fixtures.slope import (
+    acceleration_downhill_m_per_s2,
+    creep_m_per_s,
+    moved_m,
+)
 from gauge_envs.references.published import published_baselines
 from gauge_envs.scene import Box, Pose, RigidBody
 from gauge_envs.scene.geometry import FloatArray, vector
-from gauge_envs.scoring.estimators import steady_speed_m_per_s
 from gauge_envs.tools.sanity.object_checks.check import (
     ObjectCheck,
     Scenario,
-    acceleration,
     facts,
     posed,
     rigid_law,
@@ -56,26 +57,6 @@ def _hold_scenario(material: str) -> Scenario:
     )
 
 
-def _downhill(
-    title: str,
-    scenario: Scenario,
-    unit: str,
-    reality: Reality,
-    motion: Callable[[FloatArray, FloatArray], float],
-) -> ObjectCheck:
-    """Return the check of a cube that moves down its board, measured in the second half of its scenario.
-
-    `motion` is a function of times [s] and of displacements downhill [mm], both of shape [sample_count].
-    """
-
-    def value(rollout: Recording) -> float:
-        part = rollout.between(0.5 * scenario.seconds, scenario.seconds)
-        moved_mm = 1e3 * moved_m(rollout, *CUBE)
-        return motion(rollout.times_s[part], moved_mm[part, 0])
-
-    return ObjectCheck(title, scenario, unit, reality, value)
-
-
 # --- holding ---------------------------------------------------------------------------------------------------------
 
 
@@ -101,7 +82,13 @@ def creep(material: str) -> ObjectCheck:
         "which allows no faster creep",
     )
     title = f"creep of a cube of {material} on 10 degrees"
-    return _downhill(title, scenario, "mm/s", law, steady_speed_m_per_s)
+    return ObjectCheck(
+        title,
+        scenario,
+        "mm/s",
+        law,
+        lambda rollout: 1e3 * creep_m_per_s(rollout, *CUBE, start_s=SETTLED_S),
+    )
 
 
 def rest_height(material: str) -> ObjectCheck:
@@ -139,7 +126,7 @@ def slide(material: str) -> ObjectCheck:
     friction = real_friction(material)
     variant = f"SlopeSlider-2-{material}"
     scene = load_experiment(variant, {"cube.friction": friction}).scene
-    return _downhill(
+    return ObjectCheck(
         f"acceleration of a cube of {material} on 30 degrees",
         Scenario(f"slide-{material}", variant, SLIDE_S, scene, released=("cube",)),
         "m/s^2",
@@ -150,7 +137,9 @@ def slide(material: str) -> ObjectCheck:
             "real slides (scoring/facts/slope_slider_30deg_summary.toml); "
             f"the cube has the friction that they show, mu = {friction:.3f}",
         ),
-        acceleration,
+        lambda rollout: acceleration_downhill_m_per_s2(
+            rollout, *CUBE, start_s=0.5 * SLIDE_S
+        ),
     )
 
 

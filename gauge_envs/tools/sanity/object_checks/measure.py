@@ -1,7 +1,5 @@
 """Run checks of measured objects on a target: each rollout once, for each set of contact constants that matters."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from operator import attrgetter
 from typing import TypeVar

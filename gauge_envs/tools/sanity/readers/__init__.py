@@ -1,7 +1,5 @@
 """Training stacks: the targets of a check and their readers."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from gauge_envs.backends.mujoco.messages import mujoco_warnings

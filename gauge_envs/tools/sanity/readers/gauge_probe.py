@@ -403,17 +403,6 @@ def kind_of(value: Any) -> str:
     return f"{type(value).__module__}.{type(value).__qualname__}"
 
 
-def first(target: Any, places: tuple[str, ...], fits: Any) -> Any:
-    """Return a target, or its first attribute of some places, for which a function is true; None without one."""
-    values = (value_at(target, place) for place in ("", *places))
-    return next(filter(fits, values), None)
-
-
-def is_model(value: Any) -> bool:
-    """Return whether a value is a compiled model."""
-    return kind_of(value) == "mujoco._structs.MjModel"
-
-
 def mujoco_model(target: Any) -> Any:
     """Return the compiled model of a target; None without one."""
     if kind_of(target).endswith(".MjSpec"):
@@ -425,7 +414,9 @@ def mujoco_model(target: Any) -> Any:
         model = Scene(target.scene, device="cpu").compile()
         target.sim.mujoco.apply(model)
         return model
-    return first(target, MODEL_PLACES, is_model)
+    values = [target, *(value_at(target, place) for place in MODEL_PLACES)]
+    models = [v for v in values if kind_of(v) == "mujoco._structs.MjModel"]
+    return models[0] if models else None
 
 
 def capture_mujoco(target: Any) -> dict[str, Any] | None:
@@ -444,7 +435,6 @@ def capture_mujoco(target: Any) -> dict[str, Any] | None:
         if getattr(model, f"n{part}", 0)
     ]
     return {
-        "kind": "mjcf",
         "mujoco": mujoco.__version__,
         "engine": engine,
         "notes": notes,

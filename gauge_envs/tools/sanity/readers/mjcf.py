@@ -1,7 +1,5 @@
 """MuJoCo models: a model file, or a compiled model in this process."""
 
-from __future__ import annotations
-
 import copy
 import re
 import warnings

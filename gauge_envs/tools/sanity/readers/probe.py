@@ -4,8 +4,6 @@ The program that `gauge sanity probe` prints writes a model of MuJoCo as MJCF.
 Nothing of a file is run.
 """
 
-from __future__ import annotations
-
 import xml.etree.ElementTree as ET
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The target's own model: its robot, how it stands, and its measured properties."""
 
-from __future__ import annotations
-
 import copy
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field

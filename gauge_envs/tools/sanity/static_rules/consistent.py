@@ -1,7 +1,5 @@
 """Static rules: numbers of a model that contradict each other."""
 
-from __future__ import annotations
-
 import re
 from collections import defaultdict
 from collections.abc import Iterator, Mapping

@@ -1,7 +1,5 @@
 """Static rules: numbers that no real part has."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 

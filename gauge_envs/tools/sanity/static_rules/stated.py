@@ -1,7 +1,5 @@
 """Static rules: what the file states and MuJoCo does not do."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import mujoco
