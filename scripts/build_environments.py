@@ -111,6 +111,7 @@ GROUPS: dict[str, tuple[Entry, ...]] = {
         Entry("CubePush-light"),
         Entry("ObliqueBounce-nospin"),
         Entry("StripBending-satin", 3.2),
+        Entry("BiasStretching-satin", 0.3),
     ),
 }
 

@@ -1,6 +1,7 @@
 """Build the scene of one variant from its task file, with overrides of constants and initial states."""
 
 import json
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import fields, replace
 from fnmatch import fnmatchcase
@@ -320,7 +321,8 @@ class SceneBuilder:
                 is_free = not isinstance(body, ClothSpec) or constant != "mass_kg"
                 values[constant] = self._read(name, constant, has_effect=is_free)
         if isinstance(body, ClothSpec):
-            return Cloth(size_m=body.size_m, **values)
+            warp_angle_rad = math.radians(body.warp_angle_deg)
+            return Cloth(size_m=body.size_m, warp_angle_rad=warp_angle_rad, **values)
         if isinstance(body, SoftBodySpec):
             return SoftBody(shape=Box(size_m=body.size_m), **values)
         kind = Rope if name in self.spec.ropes else Rod

@@ -65,9 +65,10 @@ class BodySpec(FileModel):
 
 
 class ClothSpec(FileModel):
-    """A rectangular sheet."""
+    """A rectangular sheet, whose warp has an angle to its x axis."""
 
     size_m: tuple[Positive, Positive]
+    warp_angle_deg: Annotated[float, Field(ge=-90.0, le=90.0)] = 0.0
     material: str | None = None
 
 

@@ -36,7 +36,9 @@ def reference_path(experiment: Experiment, band: Band | None) -> ReferencePath |
         experiment: The experiment with its effective initial state.
         band: Its band, or None.
     """
-    if band is None or not experiment.score.observable.is_of_places:
+    if band is None or band.unit != "mm":
+        return None
+    if not experiment.score.observable.is_of_places:
         return None
     start_mm = start_values(experiment)
     names = [name.rpartition(".")[0] for name in experiment.coordinates[::3]]

@@ -72,7 +72,7 @@ class RigidBody:
 
 @dataclass(frozen=True, kw_only=True)
 class Cloth:
-    """Rectangular cloth in the x-y plane of its frame, warp along x, weft along y.
+    """Rectangular cloth in the x-y plane of its frame, with the weft perpendicular to the warp.
 
     Attributes:
         name: Unique name in the scene.
@@ -84,6 +84,7 @@ class Cloth:
         stretch_stiffness_n_per_m: K_s, tangent stiffness per width of a uniaxial test with free transverse edges [N/m].
         shear_stiffness_n_per_m: K_sh, engineering shear stiffness per width [N/m].
         bend_stiffness_n_m_per_rad: K_theta, torque per angle of a discrete bending hinge [N m/rad].
+        warp_angle_rad: Angle from x to the warp, towards y [rad]; pi/4 is a bias cut.
     """
 
     name: str
@@ -95,6 +96,7 @@ class Cloth:
     stretch_stiffness_n_per_m: float
     shear_stiffness_n_per_m: float
     bend_stiffness_n_m_per_rad: float
+    warp_angle_rad: float = 0.0
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -2,10 +2,10 @@
 
     python studies/models/sensitivity.py [ID ...]
 
-A row of `sensitivity.csv` has an id, the size of its motion [mm] in the coordinates and frames of the reference, and
-the distance that each change makes [% of the motion]; `-` if nothing in the scene has the constant, or the step is too
-long for air. Without a reference the markers count, in all frames. `air` is air of 20 C in place of none; `noise` is
-a millionth of the stretch stiffness, which shows what the solver makes of nothing.
+A row of `sensitivity.csv` has an id, the size of its motion in the coordinates, frames and unit of the reference [mm or
+%], and the distance that each change makes [% of the motion]; `-` if nothing in the scene has the constant, or the
+step is too long for air. Without a reference the markers count, in all frames. `air` is air of 20 C in place of none;
+`noise` is a millionth of the stretch stiffness, which shows what the solver makes of nothing.
 """
 
 import csv

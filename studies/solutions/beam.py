@@ -269,8 +269,7 @@ def solve(folder: Path, foam: str) -> None:
     mean[:FRAME_COUNT] = finest.reshape(FRAME_COUNT, -1)
     uncertainty[:FRAME_COUNT] = uncertainty_mm.reshape(FRAME_COUNT, -1)
     store_solution(
-        folder,
-        variant,
+        folder / variant,
         kind="numerical",
         coordinates=experiment.coordinates,
         source=(

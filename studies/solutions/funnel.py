@@ -127,8 +127,7 @@ def solve(folder: Path, variant: str) -> None:
     mean_mm = start_mm + 1e3 * moved_m[:, None]
     uncertainty_mm = np.repeat(1e3 * left_out_m(scene, times_s)[:, None], 2, axis=1)
     store_solution(
-        folder,
-        variant,
+        folder / variant,
         kind="analytic",
         coordinates=["inward-x", "inward-y"],
         source=(

@@ -253,8 +253,7 @@ def main(folder: Path) -> None:
             [u_mm[:, 0], np.zeros(FRAME_COUNT), u_mm[:, 1]]
         )
     store_solution(
-        folder,
-        VARIANT,
+        folder / VARIANT,
         kind="numerical",
         coordinates=[f"ball-{n}.{axis}" for n in (1, 2) for axis in "xyz"],
         source=(

@@ -143,8 +143,7 @@ def solve(folder: Path) -> None:
         experiment = load_experiment(variant)
         mean_m, uncertainty_m = motion_m(experiment.scene, experiment.frame_count)
         store_solution(
-            folder,
-            variant,
+            folder / variant,
             kind="analytic",
             coordinates=experiment.coordinates,
             source="heavy elastica at rest at each angle of the clamp; u is the inertia and the stretch of the strip",

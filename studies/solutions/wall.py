@@ -77,8 +77,7 @@ def main(folder: Path) -> None:
     mean[:end] = mean_mm[:end]
     uncertainty[:end] = uncertainty_mm[:end]
     store_solution(
-        folder,
-        VARIANT,
+        folder / VARIANT,
         kind="numerical",
         coordinates=["wall-x", "wall-y", "wall-z"],
         source=(

@@ -14,7 +14,7 @@ from gauge_envs import load_experiment
 from gauge_envs.backends import backend
 from gauge_envs.backends.shared.cloth_grid import ClothGrid
 from gauge_envs.backends.shared.soft_rows import soft_rows
-from gauge_envs.errors import ParameterError
+from gauge_envs.errors import ParameterError, UnsupportedSceneError
 from gauge_envs.fixtures.parts import contact
 from gauge_envs.fixtures.recording import DivergedError, record
 from gauge_envs.scene import Motion, Pose, Region, Scene
@@ -58,19 +58,29 @@ def measured(check, **settings):
 # --- cloth -----------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize("warp_angle_deg", [-45.0, 0.0, 45.0, 90.0])
 @pytest.mark.parametrize("name", FABRICS)
-def test_springs_of_a_grid_have_the_stiffnesses_of_the_fabric(name):
+def test_springs_of_a_grid_have_the_stiffnesses_of_the_fabric(name, warp_angle_deg):
     """The energy of a cell with springs k and s is minimized over the free transverse strain."""
-    cloth = cloth_of(name)
+    angle_rad = np.radians(warp_angle_deg)
+    cloth = replace(cloth_of(name), warp_angle_rad=float(angle_rad))
     along, diagonal = spring_stiffnesses(cloth)
     assert along > 0.0
     # Springs along x, y and both diagonals, strains (x, y, shear): energy per area is e M e / 2.
-    directions = np.array([[1, 0, 0], [0, 1, 0], [0.5, 0.5, 0.5], [0.5, 0.5, -0.5]])
+    angles_rad = np.radians([0.0, 90.0, 45.0, -45.0]) - angle_rad
+    cosines, sines = np.cos(angles_rad), np.sin(angles_rad)
+    directions = np.column_stack([cosines**2, sines**2, cosines * sines])
     weights = np.array([along, along, 2.0 * diagonal, 2.0 * diagonal])
     compliance = np.linalg.inv(directions.T @ (weights[:, None] * directions))
     stiffnesses = 1.0 / np.diag(compliance)
     assert stiffnesses[0] == pytest.approx(cloth.stretch_stiffness_n_per_m, rel=1e-9)
     assert stiffnesses[2] == pytest.approx(cloth.shear_stiffness_n_per_m, rel=1e-9)
+
+
+def test_a_warp_between_the_springs_is_an_error():
+    cloth = replace(cloth_of("satin"), warp_angle_rad=0.3)
+    with pytest.raises(UnsupportedSceneError, match="multiples of 45"):
+        spring_stiffnesses(cloth)
 
 
 @pytest.mark.parametrize(

@@ -13,6 +13,7 @@ from gauge_envs.backends.settings import SteppedSettings, load_presets
 from gauge_envs.backends.shared.cells import CellSize, narrow_cell_m
 from gauge_envs.backends.shared.cloth_grid import ClothGrid
 from gauge_envs.backends.shared.soft_rows import lame_constants
+from gauge_envs.errors import UnsupportedSceneError
 from gauge_envs.scene import Cloth, Contact, Cylinder, Scene, SoftBody, Sphere
 from gauge_envs.scene.geometry import FloatArray, IntArray
 from gauge_envs.scene.timing import DRIVE_INTERVAL_S
@@ -328,11 +329,22 @@ def spring_stiffnesses(cloth: Cloth) -> tuple[float, float]:
     """Return the stiffnesses of springs along the grid lines and along the diagonals of a square grid [N/m].
 
     Springs k along the grid and s along both diagonals of each cell give the shear stiffness s. The stretch stiffness
-    with free transverse edges is k + k s / (k + s).
+    with free transverse edges is k + k s / (k + s). With the warp along the diagonals, springs of k / 2 there and of
+    2 s along the grid are the same law, turned by 45 degrees.
+
+    Raises:
+        UnsupportedSceneError: The warp is along neither the grid nor the diagonals.
     """
     stretch, shear = cloth.stretch_stiffness_n_per_m, cloth.shear_stiffness_n_per_m
     free = stretch - 2.0 * shear
-    return 0.5 * (free + float(np.sqrt(free**2 + 4.0 * stretch * shear))), shear
+    straight = 0.5 * (free + float(np.sqrt(free**2 + 4.0 * stretch * shear)))
+    angle_deg = float(np.degrees(cloth.warp_angle_rad))
+    eighths = round(angle_deg / 45.0)
+    if abs(angle_deg - 45.0 * eighths) > 1e-6:
+        raise UnsupportedSceneError(
+            f"the warp of {cloth.name!r} is at {angle_deg:.4g} degrees, and Genesis's springs have multiples of 45"
+        )
+    return (straight, shear) if eighths % 2 == 0 else (2.0 * shear, 0.5 * straight)
 
 
 def grid_springs(grid: ClothGrid) -> IntArray:

@@ -63,11 +63,7 @@ class ClothPartMuJoCo(FlexPart):
     def complete(self, model: mujoco.MjModel) -> None:
         """Write the fabric's membrane law and scale the bending stiffness of the diagonals."""
         flex = self.flex.id
-        membrane = _membrane(
-            self.grid,
-            self.cloth.stretch_stiffness_n_per_m,
-            self.cloth.shear_stiffness_n_per_m,
-        )
+        membrane = _membrane(self.grid, self.cloth)
         stiffness = flex_table(model, "flex_stiffness", flex).reshape(
             -1, STIFFNESS_PER_TRIANGLE
         )
@@ -171,21 +167,37 @@ def _diagonal_weight(along_x_m: float, along_y_m: float) -> float:
     return max(0.0, 2.0 - ratio**2) / (ratio + 1.0 / ratio) ** 2
 
 
-def _membrane(
-    grid: ClothGrid, stretch_n_per_m: float, shear_n_per_m: float
-) -> FloatArray:
-    """Return MuJoCo's stiffness of each triangle for diag(stretch, stretch, shear), shape [triangle_count, 6]."""
+def _membrane(grid: ClothGrid, cloth: Cloth) -> FloatArray:
+    """Return MuJoCo's stiffness of each triangle for the law of `_plane_law`, shape [triangle_count, 6]."""
     corners_m = grid.plane_m[grid.triangles]
     edges_m = corners_m[:, [2, 0, 1]] - corners_m[:, [1, 2, 0]]
     x, y = edges_m[..., 0], edges_m[..., 1]
     # B: half the change of an edge's square is exx x^2 + eyy y^2 + 2 exy x y; S = (area / 2) B^-T C B^-1.
     to_edges = np.stack([x**2, y**2, x * y], axis=-1)
     to_strains = np.linalg.inv(to_edges)
-    law = np.diag([stretch_n_per_m, stretch_n_per_m, shear_n_per_m])
+    law = _plane_law(cloth)
     half_area_m2 = 0.25 * grid.cell_m[0] * grid.cell_m[1]
     matrices = half_area_m2 * (to_strains.transpose(0, 2, 1) @ law @ to_strains)
     rows, columns = np.triu_indices(3)
     return np.asarray(matrices[:, rows, columns])
+
+
+def _plane_law(cloth: Cloth) -> FloatArray:
+    """Return the law C of a cloth in its frame [N/m], shape [3, 3]: forces per width from strains xx, yy and 2 xy.
+
+    Along warp and weft it is diag(stretch, stretch, shear). T gives the strains there from those in the frame of the
+    cloth (R. M. Jones: Mechanics of composite materials, equation 2.78), so C = T' diag(...) T.
+    """
+    stretch, shear = cloth.stretch_stiffness_n_per_m, cloth.shear_stiffness_n_per_m
+    cosine, sine = np.cos(cloth.warp_angle_rad), np.sin(cloth.warp_angle_rad)
+    to_warp = np.array(
+        [
+            [cosine**2, sine**2, cosine * sine],
+            [sine**2, cosine**2, -cosine * sine],
+            [-2.0 * cosine * sine, 2.0 * cosine * sine, cosine**2 - sine**2],
+        ]
+    )
+    return np.asarray(to_warp.T @ np.diag([stretch, stretch, shear]) @ to_warp)
 
 
 # --- contact with itself ----------------------------------------------------------------------------------------------

@@ -415,22 +415,19 @@ class _DrivenBody(_FreeBody):
         forces = [data.xfrc_applied[index] for data in datas]
         self._views = self.poses, self.rates, forces
         self._mass_kg = model.body_mass[index : index + 1]
+        # Integrators but RK4 move a body by its speed at the end of a step, a h / 2 above the mean speed of the step.
+        is_exact = model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4
+        self._lead_s = 0.0 if is_exact else 0.5 * model.opt.timestep
 
     def prepared(self, targets: FloatArray) -> Callable[[int], None]:
         """Return a function that writes the targets of an interval; see `Simulation.prepared`."""
-        rates = targets[..., 7:13]
+        rates = targets[..., 7:13] - self._lead_s * targets[..., 13:]
         # A body that only translates has no spin to rotate into its frame.
         if np.count_nonzero(rates[..., 3:]):
-            rates = rates.copy()
             back = targets[..., 3:7] * CONJUGATE
-            turned = zip(
-                rates.reshape(-1, 6)[:, 3:],
-                targets[..., 10:13].reshape(-1, 3),
-                back.reshape(-1, 4),
-                strict=True,
-            )
-            for inner, spin, quaternion in turned:
-                mujoco.mju_rotVecQuat(inner, spin, quaternion)
+            spins = rates.reshape(-1, 6)[:, 3:]
+            for spin, quaternion in zip(spins, back.reshape(-1, 4), strict=True):
+                mujoco.mju_rotVecQuat(spin, spin.copy(), quaternion)
         # The mass and all moments of inertia of a driven body are the same number.
         forces = self._mass_kg * targets[..., 13:]
         given = zip(self._views, (targets[..., :7], rates, forces), strict=True)

@@ -48,7 +48,8 @@ def write_deformable(target: Target, body: Deformable) -> None:
     target.place(geometry, body.name, body.pose)
     write(prim, "gauge:kind", KINDS[type(body)], "token")
     for field in fields(body):
-        if isinstance(value := getattr(body, field.name), float):
+        value = getattr(body, field.name)
+        if isinstance(value, float) and value != field.default:
             write(prim, f"gauge:{field.name}", value)
     prim.AddAppliedSchema("OmniPhysicsBodyAPI")
     prim.AddAppliedSchema("OmniPhysicsDeformableBodyAPI")

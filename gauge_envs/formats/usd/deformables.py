@@ -1,7 +1,7 @@
 """Reader of deformable bodies, attachments, markers and air of USD layers that this package wrote."""
 
 from collections.abc import Mapping
-from dataclasses import fields
+from dataclasses import MISSING, fields
 from functools import partial
 from typing import Any
 
@@ -29,6 +29,9 @@ from gauge_envs.scene import (
 from gauge_envs.scene.geometry import vector
 
 AIR_PREFIX = "gauge:air:"
+
+LIMITS = {"poisson_ratio": (-1.0, 0.5), "warp_angle_rad": (-np.pi, np.pi)}
+"""Open interval of constants that need not be positive."""
 
 Names = Mapping[Sdf.Path, str]
 """Names of bodies in the scene, by path of the prim."""
@@ -58,7 +61,9 @@ def read_deformable(source: Source, prim: Usd.Prim, name: str) -> Deformable:
         )
     values: dict[str, Any] = {"name": name, "pose": pose}
     for field in fields(model):
-        if field.type == "float":
+        if field.type == "float" and (
+            field.default is MISSING or prim.HasAttribute(f"gauge:{field.name}")
+        ):
             values[field.name] = _constant(source, prim, field.name)
     if model in (Cloth, SoftBody):
         size_m = tuple(prim.GetAttribute("gauge:size_m").Get())
@@ -88,7 +93,7 @@ def _constant(source: Source, prim: Usd.Prim, name: str) -> float:
         widths = prim.GetAttribute("widths")
         stored = [source.stored(widths, (1,), lambda width_m: 0.5 * width_m[0])]
     value = source.edited(exact, stored)
-    low, high = (-1.0, 0.5) if name == "poisson_ratio" else (0.0, np.inf)
+    low, high = LIMITS.get(name, (0.0, np.inf))
     if value is None or not low < value < high:
         raise source.fault(
             prim,

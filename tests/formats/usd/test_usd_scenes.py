@@ -39,6 +39,12 @@ def test_checked_in_layers_are_the_scenes_to_the_bit(name):
     assert read.metadata["variant"] == name
 
 
+def test_a_cloth_that_is_cut_at_an_angle_comes_back_to_the_bit(tmp_path):
+    scene = load_experiment("BiasStretching-satin").scene
+    to_usd(scene, tmp_path / "strip.usda")
+    assert read_usd(tmp_path / "strip.usda").scene == scene
+
+
 def test_a_scene_with_every_feature_comes_back_to_the_bit(tmp_path):
     """Names that USD does not allow, start velocities, a string of a third of a metre, and a motion by samples."""
     bob = RigidBody(
