@@ -1,7 +1,7 @@
 """Processor time of an environment beside the time within MuJoCo's `mj_step`.
 
-`mj_step` is timed where the package calls it, in every second run, without the timer's own time. All other time, such as
-driving and reading the bodies, is the package's.
+`mj_step` is timed where the package calls it, in every second run, without the time of the timer. All other time, such
+as driving and reading the bodies, is the package's.
 """
 
 from __future__ import annotations
