@@ -12,7 +12,7 @@ from gauge_envs.observables.kinds import Observable
 from gauge_envs.references.imported import START_FRAMES, ImportedVariant, load_imported
 from gauge_envs.references.tables import FileModel, read_toml
 from gauge_envs.scene import Hinge, RigidBody, Sphere, Tether
-from gauge_envs.scene.contact_faces import blocked_directions
+from gauge_envs.scene.contact_faces import blocked_directions, outer_normals
 from gauge_envs.scene.drivers import Driver
 from gauge_envs.scene.geometry import FloatArray, Vector, length_of, vector
 from gauge_envs.scene.jitter import across, rotate
@@ -114,7 +114,7 @@ def trial_states(experiment: Experiment, trial: int) -> FloatArray:
         if name in joints:
             _swing(state, joints[name], positions_m[:, index])
             continue
-        normals = scene.contact_faces.normals([name])
+        normals = outer_normals(scene.contact_normals, [name])
         blocked = blocked_directions(body.pose, normals)
         _move(state, body, blocked, positions_m[:, index], *rotations[index])
     return states

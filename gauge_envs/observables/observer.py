@@ -8,7 +8,6 @@ the default mesh, so its scores depend on the mesh.
 from collections.abc import Callable, Iterable, Sequence
 from enum import StrEnum
 from functools import lru_cache, partial
-from typing import Protocol
 
 import numpy as np
 
@@ -35,25 +34,6 @@ class MarkerProxy(StrEnum):
     """The nearest node, each used once (Hungarian algorithm), as in the paper."""
 
 
-class Observer(Protocol):
-    """Observer of one kind of generalized trajectory in N worlds.
-
-    It reads a simulation at each sample, and computes the observed points of many samples in one pass.
-    """
-
-    def read(self, simulation: Simulation) -> FloatArray:
-        """Return what gives the points now, shape [N, count, width]."""
-
-    def sampler(self, simulation: Simulation, rows: FloatArray) -> Sampler:
-        """Return a sampler of such readings."""
-
-    def points(self, readings: FloatArray) -> FloatArray:
-        """Return the bodies or markers [m], shape [..., point_count, 3], from readings of shape [..., count, width]."""
-
-    def observe(self, points_m: FloatArray) -> FloatArray:
-        """Return g(t) of points [m], shape [..., width]."""
-
-
 class ObserverPositions:
     """Observer of the positions of rigid bodies [mm]."""
 
@@ -61,7 +41,7 @@ class ObserverPositions:
         self._names = tuple(names)
 
     def read(self, simulation: Simulation) -> FloatArray:
-        """Return the states of the bodies now."""
+        """Return the states of the bodies now, shape [N, count, 13]."""
         return simulation.body_states(self._names)
 
     def sampler(self, simulation: Simulation, rows: FloatArray) -> Sampler:
@@ -150,6 +130,13 @@ class ObserverMarkers:
         """Return g(t) of markers [m], shape [..., width]."""
         g = self._formula(points_m.reshape(-1, self.marker_count, 3))
         return g.reshape(*points_m.shape[:-2], -1)
+
+
+Observer = ObserverPositions | ObserverMarkers
+"""Observer of one kind of generalized trajectory in N worlds.
+
+It reads a simulation at each sample, and computes the observed points of many samples in one pass. `points` returns the
+bodies or markers [m] of readings of shape [..., count, width], and `observe` returns their g(t)."""
 
 
 def _tracker(

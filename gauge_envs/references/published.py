@@ -7,7 +7,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from pydantic import PositiveInt, model_validator
+from pydantic import Field, PositiveInt, model_validator
 
 from gauge_envs.references.metrics import MetricKey
 from gauge_envs.references.tables import FileModel, read_rows, scoring_folder
@@ -39,8 +39,8 @@ class Baseline(FileModel):
     metric: MetricKey
     frames: PositiveInt
     unit: str
-    mean: float
-    std: float | None
+    mean: float = Field(alias="baseline_mean")
+    std: float | None = Field(alias="baseline_std")
     engines: dict[str, float | None]
     disputed: str
 
@@ -54,13 +54,11 @@ class Baseline(FileModel):
     def _of_row(cls, row: dict[str, Any]) -> dict[str, Any]:
         """Return the fields of a row of `engine_results.csv`, with percentages as ratios."""
         fields = dict(row)
-        fields["mean"] = fields.pop("baseline_mean")
-        fields["std"] = fields.pop("baseline_std")
         fields["engines"] = {engine: fields.pop(engine) for engine in PUBLISHED_ENGINES}
         fields["disputed"] = fields["disputed"] or ""
         if fields["unit"] == "percent":
             fields["unit"] = "1"
-            for name in ("mean", "std"):
+            for name in ("baseline_mean", "baseline_std"):
                 fields[name] = float(fields[name]) / 100
         return fields
 

@@ -50,63 +50,64 @@ class TouchingGroup:
     centre_m: FloatArray
 
 
-class ContactFaces:
-    """Pairs of bodies that collide and touch at a flat face, with the normals of the faces.
+Normals = dict[frozenset[str], list[FloatArray]]
+"""Normals of the faces at which two bodies touch, each of shape [3], by the names of the bodies."""
 
-    Boxes, ends of cylinders, convex unions and planes have such faces. Round surfaces have none.
+
+def contact_normals(
+    bodies: Iterable[RigidBody], colliding: Iterable[tuple[str, str]]
+) -> Normals:
+    """Return the normals of the faces at which bodies that collide touch.
+
+    Boxes, ends of cylinders, convex unions and planes have flat faces. Round surfaces have none.
 
     Args:
         bodies: The bodies at their start.
         colliding: Names of each pair that collides; pairs with unknown names are ignored.
     """
+    pieces = {body.name: [*_pieces(body.shape, body.pose)] for body in bodies}
+    return {
+        frozenset((first, second)): normals
+        for first, second in colliding
+        if first in pieces and second in pieces
+        if (normals := [*_touching(pieces[first], pieces[second])])
+    }
 
-    def __init__(
-        self, bodies: Iterable[RigidBody], colliding: Iterable[tuple[str, str]]
-    ) -> None:
-        pieces = {body.name: [*_pieces(body.shape, body.pose)] for body in bodies}
-        self._normals: dict[frozenset[str], list[FloatArray]] = {}
-        for first, second in colliding:
-            pair = frozenset((first, second))
-            if pair in self._normals or not pair <= pieces.keys():
-                continue
-            if normals := [*_touching(pieces[first], pieces[second])]:
-                self._normals[pair] = normals
 
-    def groups(self, bodies: Sequence[RigidBody]) -> dict[str, TouchingGroup]:
-        """Return the group of touching bodies of each body, by its name; bodies outside `bodies` join no group."""
-        group = {body.name: {body.name} for body in bodies}
-        for first, second in self._normals:
-            if first in group and second in group and group[first] is not group[second]:
-                joined = group[first] | group[second]
-                group.update(dict.fromkeys(joined, joined))
-        groups: dict[str, TouchingGroup] = {}
-        for name, names in group.items():
-            if name in groups:
-                continue
-            poses = [body.pose for body in bodies if body.name in names]
-            touching = TouchingGroup(
-                members=names,
-                blocked=blocked_directions(poses[0], self.normals(names)),
-                centre_m=np.mean([pose.position_m for pose in poses], axis=0),
-            )
-            groups.update(dict.fromkeys(names, touching))
-        return groups
+def touching_groups(
+    bodies: Sequence[RigidBody], normals: Normals
+) -> dict[str, TouchingGroup]:
+    """Return the group of touching bodies of each body, by its name; bodies outside `bodies` join no group."""
+    group = {body.name: {body.name} for body in bodies}
+    for pair in normals:
+        if pair <= group.keys():
+            joined = set().union(*(group[name] for name in pair))
+            group.update(dict.fromkeys(joined, joined))
+    groups: dict[str, TouchingGroup] = {}
+    for name, names in group.items():
+        if name in groups:
+            continue
+        poses = [body.pose for body in bodies if body.name in names]
+        touching = TouchingGroup(
+            members=names,
+            blocked=blocked_directions(poses[0], outer_normals(normals, names)),
+            centre_m=np.mean([pose.position_m for pose in poses], axis=0),
+        )
+        groups.update(dict.fromkeys(names, touching))
+    return groups
 
-    def normals(self, names: Collection[str]) -> list[FloatArray]:
-        """Return the normals at which a group touches other bodies, each direction once, each of shape [3].
 
-        Args:
-            names: Names of the bodies of the group.
-        """
-        distinct: list[FloatArray] = []
-        for pair, normals in self._normals.items():
-            if len(pair.intersection(names)) == 1:
-                distinct += [
-                    normal
-                    for normal in normals
-                    if all(abs(normal @ known) < PARALLEL for known in distinct)
-                ]
-        return distinct
+def outer_normals(normals: Normals, names: Collection[str]) -> list[FloatArray]:
+    """Return the normals at which a group of bodies touches others, each direction once, each of shape [3]."""
+    distinct: list[FloatArray] = []
+    for pair, of_pair in normals.items():
+        if len(pair.intersection(names)) == 1:
+            distinct += [
+                normal
+                for normal in of_pair
+                if all(abs(normal @ known) < PARALLEL for known in distinct)
+            ]
+    return distinct
 
 
 def blocked_directions(pose: Pose, normals: Sequence[FloatArray]) -> FloatArray:

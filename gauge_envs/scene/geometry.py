@@ -119,15 +119,10 @@ def unit_quaternions(quaternions: FloatArray) -> FloatArray:
 
 def vector_quaternions(vectors_rad: FloatArray) -> FloatArray:
     """Return the quaternions w, x, y, z of rotation vectors [rad], shape [count, 4]."""
-    angles = np.sqrt((vectors_rad * vectors_rad).sum(axis=1))
-    # For small angles, sin(angle / 2) / angle by its series.
-    scales = 0.5 - angles**2 / 48.0 + angles**4 / 3840.0
-    large = angles > 1e-3
-    scales[large] = np.sin(0.5 * angles[large]) / angles[large]
-    quaternions = np.empty((len(angles), 4))
-    quaternions[:, 0] = np.cos(0.5 * angles)
-    quaternions[:, 1:] = scales[:, None] * vectors_rad
-    return quaternions
+    angles = np.linalg.norm(vectors_rad, axis=1, keepdims=True)
+    # sin(angle / 2) / angle; NumPy's sinc is sin(pi x) / (pi x).
+    scales = 0.5 * np.sinc(0.5 * angles / np.pi)
+    return np.hstack([np.cos(0.5 * angles), scales * vectors_rad])
 
 
 def quaternion_vectors(quaternions: FloatArray) -> FloatArray:

@@ -127,12 +127,13 @@ class SampledProfile:
             )
         if len(self.values) != len(self.times_s):
             raise ValueError(f"{len(self.times_s)} times but {len(self.values)} values")
-        for index in range(1, len(self.times_s)):
-            before, time = self.times_s[index - 1 : index + 1]
-            if time <= before:
-                raise ValueError(
-                    f"driver time is not increasing: times_s[{index}] = {time} after {before}"
-                )
+        is_late = np.diff(self.times_s) > 0.0
+        if not is_late.all():
+            before = int(is_late.argmin())
+            raise ValueError(
+                f"driver time is not increasing: times_s[{before + 1}] = {self.times_s[before + 1]} "
+                f"after {self.times_s[before]}"
+            )
 
     @cached_property
     def _curve(self) -> PchipInterpolator:

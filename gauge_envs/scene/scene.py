@@ -30,7 +30,12 @@ from gauge_envs.scene.bodies import (
     RigidBody,
     Tether,
 )
-from gauge_envs.scene.contact_faces import ContactFaces, TouchingGroup
+from gauge_envs.scene.contact_faces import (
+    Normals,
+    TouchingGroup,
+    contact_normals,
+    touching_groups,
+)
 from gauge_envs.scene.geometry import Plane
 
 if TYPE_CHECKING:
@@ -202,12 +207,12 @@ class Scene:
         )
 
     @cached_property
-    def contact_faces(self) -> ContactFaces:
-        """Faces at which colliding bodies touch at the start."""
+    def contact_normals(self) -> Normals:
+        """Normals of the faces at which colliding bodies touch at the start."""
         pairs = (
             pair for contact in self.contacts for pair in self.colliding_pairs(contact)
         )
-        return ContactFaces(self.bodies, pairs)
+        return contact_normals(self.bodies, pairs)
 
     @cached_property
     def free(self) -> frozenset[str]:
@@ -231,7 +236,7 @@ class Scene:
             for body in self.bodies
             if body.name in self.free and body.name not in jointed
         ]
-        return self.contact_faces.groups(bodies)
+        return touching_groups(bodies, self.contact_normals)
 
     @cached_property
     def floor_height_m(self) -> float:

@@ -4,11 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
-from functools import cache
 from textwrap import indent, wrap
 from typing import Any, ClassVar
-
-from pydantic import TypeAdapter
 
 from gauge_envs.references.kind import Kind
 from gauge_envs.references.metrics import METRICS
@@ -197,21 +194,6 @@ class Score:
         for name in self.PRINTED:
             values[name] = getattr(self, name)
         return values
-
-    @classmethod
-    def from_dict(cls, values: Mapping[str, Any]) -> Score:
-        """Build a score from `to_dict`; keys of later versions are ignored.
-
-        Raises:
-            ValueError: A value is missing or has the wrong type.
-        """
-        return _score_adapter().validate_python(dict(values))
-
-
-@cache
-def _score_adapter() -> TypeAdapter[Score]:
-    """Return the validator of scores; it is slow to build."""
-    return TypeAdapter(Score)
 
 
 def _text(value: float | None) -> str:

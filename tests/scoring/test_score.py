@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from places import first_of_each_kind
+from pydantic import TypeAdapter
 
 from gauge_envs import Score, load_experiment, reference_band, variants
 from gauge_envs.references.published import published_baselines
@@ -128,7 +129,8 @@ def test_every_id_scores_a_scene_in_which_nothing_moves(name):
     experiment = load_experiment(name)
     band = reference_band(experiment)
     score = still_score(experiment, band)
-    assert Score.from_dict(json.loads(json.dumps(score.to_dict()))) == score
+    stored = json.loads(json.dumps(score.to_dict()))
+    assert TypeAdapter(Score).validate_python(stored) == score
     assert score.summary().endswith(".") and len(repr(score).splitlines()) <= 10
     if band is not None and not name.startswith("SlopeSlider-1"):
         answer = score.solves if band.kind.is_solution else score.like_reality

@@ -178,11 +178,10 @@ class LeastTimeLimit(CubeLimit):
         driven_m = self._stage.poses[1:, :, :2] - cubes[1:, :, :2]
         yaws_rad = self._yaws_rad(cubes[1:, :, 3:7])
         is_lost = self._is_lost(driven_m, moved_m[..., 2])
-        has_arrived = (
-            (_lengths(to_goal_m) <= TOLERANCE_M)
-            & (np.abs(yaws_rad) <= TOLERANCE_RAD)
-            & (_lengths(velocities) <= REST_M_PER_S)
-        )
+        has_arrived = _lengths(to_goal_m) <= TOLERANCE_M
+        if has_arrived.any():
+            has_arrived &= np.abs(yaws_rad) <= TOLERANCE_RAD
+            has_arrived &= _lengths(velocities) <= REST_M_PER_S
         last = self._end({Ending.LOST: is_lost, Ending.REACHED: has_arrived})
         self._to_goal_m[:] = to_goal_m[last]
         self._velocity[:] = velocities[last]
