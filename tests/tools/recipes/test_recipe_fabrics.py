@@ -272,7 +272,7 @@ def test_the_page_says_what_the_stored_sensitivities_show():
         for column, names in seen.items()
     }
     assert experiments["bend"] == {"StripBending"}
-    assert experiments["shear"] == {"RotatingBall"}
+    assert experiments["shear"] == {"BiasStretching", "RotatingBall"}
     assert experiments["friction"] == {"RotatingBall", "TableclothPulling"}
     of_flinging = [
         column for column, names in experiments.items() if "TextileFlinging" in names
