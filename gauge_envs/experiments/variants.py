@@ -181,7 +181,8 @@ def recorded_variant(name: str, file: str | None) -> Variant:
         UnknownNameError: There is no such variant.
         TaskFileError: The task file is gone, cannot be used, or has other experiments.
     """
-    if file is not None and name not in {variant.id for variant in user_variants()}:
+    known = {row.variant.id for row in all_rows()}
+    if file is not None and name not in known:
         path = Path(file)
         if not is_regular_file(path):
             reason = f"it has {name} and is gone: put it back, or set {OWN_TASKS} to the file or its folder"

@@ -7,11 +7,19 @@ from numpy.lib.stride_tricks import sliding_window_view
 from scipy.ndimage import median_filter
 
 from gauge_envs.errors import FileError
-from gauge_envs.tools.replay.log import SAMPLED, BoolArray, Log, noise_of
+from gauge_envs.tools.replay.log import (
+    SAMPLED,
+    BoolArray,
+    FloatArray,
+    Log,
+    noise_of,
+)
 from gauge_envs.tools.replay.rates import check_base, check_velocity, integral
 
 MIN_SAMPLES = 20
 MAX_INTERVAL_S = 1.0
+MAX_NUMBER = 1e30
+"""Size from which on a number is damaged; slopes and squares of much larger ones overflow. A clock has up to 2e18."""
 MIN_JUMP = 0.02
 """Second difference of positions at a lost sample [rad or m]."""
 LOST_STEP = 1.5
@@ -42,18 +50,20 @@ def check_log(log: Log) -> None:
     log.findings += _unknown(log)
 
 
+def _is_whole(*columns: FloatArray) -> BoolArray:
+    """Return whether all numbers of a row are finite and of a plausible size, shape [row_count]."""
+    return np.asarray((np.abs(np.column_stack(columns)) < MAX_NUMBER).all(axis=1))
+
+
 def _check_numbers(log: Log) -> Iterator[str]:
     """Leave out rows without numbers; raise an error if few are left, or if the times are no clock in seconds."""
     # A lost sample may have a quaternion of zeros.
     log.base_pose[~log.base_pose[:, 3:].any(axis=1), 3:] = np.nan
-    is_given = np.isfinite(np.column_stack([log.command_time_s, log.command])).all(
-        axis=1
-    )
+    is_given = _is_whole(log.command_time_s, log.command)
     log.command_time_s = log.command_time_s[is_given]
     log.command = log.command[is_given]
     for name in SAMPLED:
-        values = np.column_stack([getattr(log, name)])
-        is_whole = np.isfinite(values).all(axis=1)
+        is_whole = _is_whole(getattr(log, name))
         log.keep(is_whole)
         if not is_whole.all():
             yield f"rows without a number of {name} are left out: {sum(~is_whole)}"
