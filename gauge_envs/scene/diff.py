@@ -119,7 +119,7 @@ def scene_changes(before: Scene, after: Scene) -> Iterator[Change]:
 
 
 def _kind_of_still_air(value: Any) -> ChangeKind:
-    """Return the kind of what is added to a scene or removed: still air is a constant, all else a structure."""
+    """Return the kind of an added or removed entry: still air is a constant, and all others are structure."""
     is_still = isinstance(value, Air) and not any(value.wind_m_per_s)
     return ChangeKind.CONSTANT if is_still else ChangeKind.STRUCTURE
 

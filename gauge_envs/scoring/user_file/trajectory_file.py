@@ -138,7 +138,7 @@ def read_trajectory(file: Path, experiment: Experiment) -> UserTrajectory:
 Samples = tuple[FloatArray, FloatArray | None, FloatArray | None]
 """g(t) at the rows of a file, shape [T, C]; their times [s], shape [T], if given; and markers [m], if given.
 
-Markers have the shape [T, M, 3], or with fewer rows, those of the first 30 Hz frames."""
+Markers have the shape [T, M, 3]. A file may have fewer rows of markers, which belong to its first 30 Hz frames."""
 
 
 def _read_csv(file: Path, experiment: Experiment) -> Samples:
@@ -364,7 +364,7 @@ def _times_at_frames(
     Args:
         times_s: Times of the samples [s].
         frames_s: Times of the frames [s].
-        needed: What is needed, for errors.
+        needed: Text of the rows and times that a file needs, for errors.
 
     Raises:
         ValueError: Times do not increase from 0 to the last frame, or a frame has no sample nearby.

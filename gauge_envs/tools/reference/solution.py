@@ -41,7 +41,7 @@ MESH_ORDER = 2
 """Order of the displacements of linear elements."""
 
 SOFTNESS = "softness of contacts"
-"""What stiffer contacts refine."""
+"""Name of the quantity that stiffer contacts refine."""
 
 SOFTNESS_TEXTS = {
     -1: f",twice the {SOFTNESS}",
@@ -83,8 +83,8 @@ class Solution:
     Attributes:
         mean: Motion at the frames, shape [T, D + 3 M].
         uncertainty: Its standard uncertainty, shape [T, D + 3 M].
-        orders: Observed order of convergence in what has three levels and changes the motion; None if it does not
-            converge.
+        orders: Observed order of convergence of each quantity that has three levels and changes the motion; None if
+            the changes do not converge.
         width: Number D of coordinates of g(t).
     """
 
@@ -138,11 +138,11 @@ def solution(
     width: int,
     other: FloatArray | None = None,
 ) -> Solution:
-    """Return the solution of runs at levels of refinement, each with half of what the one before it has.
+    """Return the solution from runs; each level halves the step, the softness or the cells of the level before.
 
     Args:
-        levels: Motions from coarse to fine by what is refined, shape [T, D + 3 M] each; two are of meshes. The last
-            one is the finest run.
+        levels: Motions from coarse to fine, shape [T, D + 3 M] each, by the name of the refined quantity. Steps and
+            softness have three, cells have two. The last motion is that of the finest run.
         width: Number D of coordinates of g(t).
         other: Motion of a second engine.
     """
@@ -177,7 +177,7 @@ def given_level(coarse: Result) -> Level:
 
 
 def refinements(coarse: Result, scene: Scene) -> dict[str, list[Level]]:
-    """Return the levels from coarse to fine, by what is refined; the last one is the finest run.
+    """Return the levels from coarse to fine, by the name of the refined quantity; the last one is the finest run.
 
     Steps are refined with contacts that are half as soft, contacts at a quarter of the step, and cells with both.
 
