@@ -87,8 +87,10 @@ def _time_unit(log: Log) -> Iterator[str]:
     """Bring times in ms, us or ns to seconds: the interval of a log is between 0.5 ms and 0.5 s."""
     for unit, factor in (("ms", 1e-3), ("us", 1e-6), ("ns", 1e-9)):
         if 5e-4 <= factor * log.interval_s < 0.5 and log.interval_s >= MAX_INTERVAL_S:
-            log.time_s = factor * (log.time_s - log.time_s[0])
-            log.command_time_s = factor * (log.command_time_s - log.command_time_s[0])
+            # One origin keeps the distance between the two clocks.
+            first = log.time_s[0]
+            log.time_s = factor * (log.time_s - first)
+            log.command_time_s = factor * (log.command_time_s - first)
             yield f"times are in {unit}: they are converted"
             return
 

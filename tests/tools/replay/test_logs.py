@@ -69,6 +69,31 @@ def test_a_flaw_is_named_and_makes_no_cause(tmp_path, flaw):
     assert replay(file, model).verdict is ReplayVerdict.NOISE
 
 
+@pytest.mark.parametrize(("unit", "per_s"), [("ms", 1e3), ("us", 1e6), ("ns", 1e9)])
+@pytest.mark.parametrize("start_s", [0.0, 1.7e9])
+@pytest.mark.parametrize(
+    ("lead_s", "lost"), [(0.0, 0), (0.0, 3), (-0.3, 0), (0.05, 0), (0.2, 5)]
+)
+def test_commands_keep_their_time_in_every_unit(
+    tmp_path, unit, per_s, start_s, lead_s, lost
+):
+    """Commands start before or after the samples, of which the first may be lost."""
+    log, _ = record(tmp_path)
+    columns = dict(np.load(log))
+    columns["q"][:lost] = np.nan
+    clock = columns["t"]
+    columns["command_t"] = clock + lead_s
+    seconds = read_log(saved(tmp_path, log, **columns))
+    for name in ("t", "command_t"):
+        columns[name] = per_s * (columns[name] + start_s)
+    found = read_log(saved(tmp_path, log, **columns))
+    assert f"times are in {unit}" in "".join(found.mistakes)
+    late_s, known_s = (
+        each.command_time_s - each.time_s[0] for each in (found, seconds)
+    )
+    np.testing.assert_allclose(late_s, known_s, atol=2e-6)
+
+
 def test_true_velocities_of_a_fast_motion_raise_no_warning(tmp_path):
     """At 50 Hz, central differences of positions show a motion of 8 Hz 16 % too slow."""
     log, _ = record(tmp_path)
