@@ -15,7 +15,7 @@ from gauge_envs.tools.conformance import (
     run_checks,
 )
 from gauge_envs.tools.conformance.causes import likely_causes, rules
-from gauge_envs.tools.conformance.model import Level
+from gauge_envs.tools.conformance.model import Level, Tolerance
 from gauge_envs.tools.conformance.report import engine_document
 from gauge_envs.tools.conformance.results import levels
 
@@ -181,6 +181,11 @@ def test_a_cause_has_its_proof_and_others_follow(causes):
 def test_each_check_is_the_last_to_explain_a_failure():
     alone = {rule["fails"] for rule in rules() if "cause" not in rule}
     assert alone >= {entry.id for entry in checks()}
+
+
+@pytest.mark.parametrize("expected", [-20.0, 20.0])
+def test_a_tolerance_grows_with_the_size_of_the_expected_value(expected):
+    assert Tolerance("test", absolute=1.0, relative=0.1).width(expected) == 3.0
 
 
 def test_a_broken_filter_is_found_before_motion():
