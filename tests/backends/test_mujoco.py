@@ -10,6 +10,7 @@ import pytest
 from gauge_envs import load_experiment
 from gauge_envs.backends import backend
 from gauge_envs.backends.mujoco.options import constants_of
+from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo
 from gauge_envs.backends.mujoco.versions import LATER_SETTINGS, UNSTEADY_BOXES
 from gauge_envs.errors import ParameterError
 from gauge_envs.runs.batch import run_many
@@ -131,3 +132,20 @@ def test_features_are_installed_from_their_first_version_on():
     assert installed_settings == [has_discrete, has_speculative]
     euler = constants_of(mujoco.mjtIntegrator, "mjINT_", ("Euler", "later"))
     assert euler == {"Euler": int(mujoco.mjtIntegrator.mjINT_EULER)}
+
+
+def test_an_episode_shows_the_states_of_a_subclass():
+    """An engine of another author may change what bodies report, and nothing else."""
+
+    class Shifted(SimulationMuJoCo):
+        def body_states(self, names):
+            return super().body_states(names) + 1.0
+
+    simulation = MUJOCO.build(RIGID)
+    simulation.__class__ = Shifted
+    simulation.reset()
+    rows = np.zeros((1, 1, 1, 13))
+    sampler = simulation.sampler(["cube"], rows)
+    sampler.read(0)
+    sampler.finish()
+    np.testing.assert_array_equal(rows[0], simulation.body_states(["cube"]))

@@ -255,10 +255,11 @@ class SimulationMuJoCo(PlacedSimulation):
         return states
 
     def sampler(self, names: Sequence[str], rows: FloatArray) -> Sampler:
-        """Return a sampler that copies the coordinates of free bodies."""
+        """Return a sampler that copies coordinates of free bodies; a subclass may change `body_states` alone."""
+        is_own = type(self).body_states is SimulationMuJoCo.body_states
         bodies = [self._moving.get(name) for name in names]
         free = [body for body in bodies if isinstance(body, _FreeBody)]
-        if len(free) == len(bodies):
+        if is_own and len(free) == len(bodies):
             return _FreeSampler(free, rows)
         return super().sampler(names, rows)
 
